@@ -1,0 +1,1 @@
+"""Ebb: a language and runtime for physical simulation on relations."""

@@ -1,0 +1,159 @@
+"""Values that the host computes at each launch and passes to the kernel as uniforms.
+
+A captured number is read when the kernel is launched, as Python reads it, and arithmetic among Python numbers stays
+Python's: ``0.5 * dt * dt`` is evaluated in Python and then converted to the type that its surroundings need.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import CellType
+from typing import Any, TypeAlias
+
+from ebb.types.types import Type
+
+
+@dataclass(frozen=True, slots=True)
+class HostConst:
+    """A literal."""
+
+    value: Any
+
+
+@dataclass(frozen=True, slots=True)
+class HostCell:
+    """A captured variable of an enclosing function."""
+
+    name: str
+    cell: CellType
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HostGlobal:
+    """A global variable of the module that defines the kernel."""
+
+    name: str
+    namespace: Mapping[str, Any]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, HostGlobal) and other.name == self.name and other.namespace is self.namespace
+
+    def __hash__(self) -> int:
+        return hash((self.name, id(self.namespace)))
+
+
+@dataclass(frozen=True, slots=True)
+class HostParameter:
+    """A further parameter of the kernel, by its position after the row."""
+
+    name: str
+    position: int
+
+
+@dataclass(frozen=True, slots=True)
+class HostAttribute:
+    base: HostExpr
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class HostItem:
+    base: HostExpr
+    index: int | str | tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HostOperation:
+    """An operator of ``HOST_OPERATORS``, or a call of the Python function ``op`` (of ``math``, say)."""
+
+    op: str | Callable[..., Any]
+    operands: tuple[HostExpr, ...]
+
+
+HostExpr: TypeAlias = HostConst | HostCell | HostGlobal | HostParameter | HostAttribute | HostItem | HostOperation
+
+
+@dataclass(frozen=True, slots=True)
+class HostValue:
+    """A uniform: what the host evaluates, and the type as which the kernel gets it."""
+
+    expr: HostExpr
+    type: Type
+
+
+HOST_OPERATORS: Mapping[str, Callable[..., Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "//": operator.floordiv,
+    "%": operator.mod,
+    "**": operator.pow,
+    "&": operator.and_,
+    "|": operator.or_,
+    "^": operator.xor,
+    "<<": operator.lshift,
+    ">>": operator.rshift,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "neg": operator.neg,
+    "pos": operator.pos,
+    "invert": operator.invert,
+    "not": operator.not_,
+}
+
+
+def evaluate(expr: HostExpr, parameters: tuple[Any, ...]) -> Any:
+    """The value of ``expr`` now.
+
+    Raises:
+        NameError: a captured name is unset.
+        AttributeError, IndexError, ArithmeticError: as Python would.
+    """
+    match expr:
+        case HostConst(value):
+            return value
+        case HostCell(name, cell):
+            try:
+                return cell.cell_contents
+            except ValueError:
+                raise NameError(f"name {name!r} has no value yet") from None
+        case HostGlobal(name, namespace):
+            if name in namespace:
+                return namespace[name]
+            raise NameError(f"name {name!r} is not defined")
+        case HostParameter(_, position):
+            return parameters[position]
+        case HostAttribute(base, name):
+            return getattr(evaluate(base, parameters), name)
+        case HostItem(base, index):
+            return evaluate(base, parameters)[index]
+        case HostOperation(op, operands):
+            function = HOST_OPERATORS[op] if isinstance(op, str) else op
+            return function(*(evaluate(operand, parameters) for operand in operands))
+
+
+def describe(expr: HostExpr) -> str:
+    """``expr`` as Python source, for IR dumps and messages."""
+    match expr:
+        case HostConst(value):
+            return repr(value)
+        case HostCell(name, _) | HostGlobal(name, _) | HostParameter(name, _):
+            return name
+        case HostAttribute(base, name):
+            return f"{describe(base)}.{name}"
+        case HostItem(base, index):
+            return f"{describe(base)}[{index!r}]"
+        case HostOperation(op, (operand,)) if isinstance(op, str):
+            return f"{ {'neg': '-', 'pos': '+', 'invert': '~', 'not': 'not '}[op]}{describe(operand)}"
+        case HostOperation(op, (left, right)) if isinstance(op, str):
+            return f"({describe(left)} {op} {describe(right)})"
+        case HostOperation(op, operands):
+            name = op if isinstance(op, str) else op.__name__
+            return f"{name}({', '.join(describe(operand) for operand in operands)})"

@@ -1,0 +1,47 @@
+"""What an error says, as a value: one frozen dataclass a kind, facts in, text computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ebb.diagnostics.span import Span
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A stretch of source and what to know about it, printed under it."""
+
+    span: Span
+    text: str
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """The base of all kinds of error. A kind sets ``code``, stores facts and computes its texts from them.
+
+    ``title`` is one sentence without a full stop; ``primary`` is the cause and gets the caret; ``secondary`` is what
+    it conflicts with; notes are facts, hints are commands.
+    """
+
+    code: ClassVar[str]
+
+    @property
+    def title(self) -> str:
+        raise NotImplementedError(f"{type(self).__name__} has no title")
+
+    @property
+    def primary(self) -> Label | None:
+        return None
+
+    @property
+    def secondary(self) -> tuple[Label, ...]:
+        return ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ()

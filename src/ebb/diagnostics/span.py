@@ -1,0 +1,42 @@
+"""Where in the user's source a thing stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """The text of one file, notebook cell or string, as the user wrote it."""
+
+    filename: str
+    text: str
+
+    def line(self, number: int) -> str:
+        """The line of that number, counted from 1, without its end; empty where there is none."""
+        lines = self.text.splitlines()
+        return lines[number - 1] if 0 < number <= len(lines) else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of source. Lines count from 1, columns from 0, both in characters, the end exclusive.
+
+    ``caller`` is the place of the call by which this code was inlined into a kernel, None in the kernel itself.
+    """
+
+    source: Source = field(repr=False)
+    line: int
+    column: int
+    end_line: int
+    end_column: int
+    caller: Span | None = field(default=None, repr=False)
+
+    @property
+    def text(self) -> str:
+        """The source that the span covers, up to the end of its first line."""
+        line = self.source.line(self.line)
+        return line[self.column : self.end_column if self.end_line == self.line else len(line)]
+
+    def __str__(self) -> str:
+        return f"{self.source.filename}:{self.line}"
