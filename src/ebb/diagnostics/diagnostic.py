@@ -39,6 +39,11 @@ class Diagnostic:
         return ()
 
     @property
+    def location(self) -> tuple[str, int | None] | None:
+        """A file, and the line where known, of a cause in a file that is no program (a mesh); spans go before it."""
+        return None
+
+    @property
     def notes(self) -> tuple[str, ...]:
         return ()
 

@@ -14,7 +14,8 @@ class Source:
 
     def line(self, number: int) -> str:
         """The line of that number, counted from 1, without its end; empty where there is none."""
-        lines = self.text.splitlines()
+        # Only what ends a line for Python: str.splitlines would also split at form feeds and Unicode separators.
+        lines = self.text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         return lines[number - 1] if 0 < number <= len(lines) else ""
 
 
