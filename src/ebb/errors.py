@@ -1,20 +1,35 @@
 """The exceptions that Ebb raises. All of them carry diagnostics, and ``str(error)`` is their rendering.
 
-    EbbError
-    +-- KernelSyntaxError      Python that kernels do not have, or a kernel whose source cannot be found
-    +-- KernelTypeError        names, types, shapes and arguments that do not fit
-    +-- PhaseError             a field or global in two phases within one kernel
-    +-- RelationError          relations, fields, groupings, subsets and what is loaded into them
-    +-- BoundsError            an access outside a relation, a vector or a matrix
-    +-- KernelAssertionError   an ``assert`` in a kernel that did not hold
-    +-- BackendError           a device, driver or tool that is missing or lacks something
-    +-- MeshFormatError        a mesh file or mesh arrays that make no mesh
+EbbError
++-- KernelSyntaxError      Python that kernels do not have, or a kernel whose source cannot be found
++-- KernelTypeError        names, types, shapes and arguments that do not fit
++-- PhaseError             a field or global in two phases within one kernel
++-- RelationError          relations, fields, groupings, subsets and what is loaded into them
++-- BoundsError            an access outside a relation, a vector or a matrix
++-- KernelAssertionError   an ``assert`` in a kernel that did not hold
++-- BackendError           a device, driver or tool that is missing or lacks something
++-- MeshFormatError        a mesh file or mesh arrays that make no mesh
 """
 
 from __future__ import annotations
 
+import os
+from typing import TypeVar
+
 from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.diagnostics.render import render_all
+
+
+E = TypeVar("E", bound=BaseException)
+
+
+def trimmed(error: E) -> E:
+    """``error`` without the frames of the compiler, for ``raise trimmed(error) from None`` at the public surface.
+
+    What is left of the traceback is the user's own frames, down to the call that failed. ``EBB_TRACEBACK=1`` in the
+    environment keeps all frames.
+    """
+    return error if os.environ.get("EBB_TRACEBACK") == "1" else error.with_traceback(None)
 
 
 class EbbError(Exception):

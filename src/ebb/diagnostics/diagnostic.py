@@ -28,14 +28,17 @@ class Diagnostic:
 
     @property
     def title(self) -> str:
+        """One sentence without a full stop: what is wrong."""
         raise NotImplementedError(f"{type(self).__name__} has no title")
 
     @property
     def primary(self) -> Label | None:
+        """The cause, which gets the caret; None where it has no place in a program."""
         return None
 
     @property
     def secondary(self) -> tuple[Label, ...]:
+        """What the cause conflicts with."""
         return ()
 
     @property
@@ -45,8 +48,10 @@ class Diagnostic:
 
     @property
     def notes(self) -> tuple[str, ...]:
+        """Facts that explain the error."""
         return ()
 
     @property
     def hints(self) -> tuple[str, ...]:
+        """What to do, as commands."""
         return ()

@@ -1,4 +1,4 @@
-"""The one renderer: a diagnostic as text, with the source, carets under the cause and dashes under what it conflicts with.
+"""The one renderer: a diagnostic as text, with carets under the cause and dashes under what it conflicts with.
 
     error[E301]: field 'vertices.q' is in two phases in kernel 'step'
       --> File "spring_mass.py", line 14
