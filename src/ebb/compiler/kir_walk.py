@@ -1,0 +1,148 @@
+"""Walks over KIR: the parts of a node, all nodes below one, and copies of a node with other parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from ebb.compiler import kir
+from ebb.compiler.kir import Body, Expr, Stmt
+
+
+def children(expr: Expr) -> tuple[Expr, ...]:  # noqa: C901 - one case a kind of node
+    """The operands of ``expr``, in the order in which they are evaluated."""
+    match expr:
+        case kir.Const() | kir.Uniform() | kir.ReadLocal() | kir.ReadGlobal() | kir.Random():
+            return ()
+        case kir.ReadField() | kir.Affine() | kir.RowId() | kir.Coords() | kir.QuerySize():
+            return (expr.key,)
+        case kir.Unary() | kir.Cast() | kir.Splat():
+            return (expr.operand,)
+        case kir.Binary() | kir.Compare() | kir.Logic():
+            return (expr.left, expr.right)
+        case kir.Choose():
+            return (expr.condition, expr.then, expr.other)
+        case kir.Build():
+            return expr.elements
+        case kir.Component():
+            return (expr.operand, *expr.indices)
+        case kir.Call():
+            return expr.arguments
+
+
+def operands(stmt: Stmt) -> tuple[Expr, ...]:  # noqa: C901 - one case a kind of node
+    """The expressions that stand in ``stmt`` itself, not in the bodies inside it."""
+    match stmt:
+        case kir.Assign() | kir.ReduceGlobal():
+            return (*stmt.indices, stmt.value)
+        case kir.WriteField() | kir.ReduceField():
+            return (stmt.key, *stmt.indices, stmt.value)
+        case kir.If() | kir.While() | kir.Assert():
+            return (stmt.condition,)
+        case kir.ForRange():
+            return (stmt.start, stmt.stop, stmt.step)
+        case kir.ForQuery():
+            return (stmt.key,)
+        case kir.Print():
+            return tuple(part[0] for part in stmt.parts if not isinstance(part, str))
+        case kir.Break() | kir.Continue() | kir.Block() | kir.Leave():
+            return ()
+
+
+def bodies(stmt: Stmt) -> tuple[Body, ...]:
+    """The bodies inside ``stmt``."""
+    match stmt:
+        case kir.If():
+            return (stmt.then, stmt.orelse)
+        case kir.ForRange() | kir.ForQuery() | kir.While() | kir.Block():
+            return (stmt.body,)
+        case _:
+            return ()
+
+
+def statements(body: Body) -> Iterator[Stmt]:
+    """All statements in ``body``, at any depth, in source order."""
+    for stmt in body:
+        yield stmt
+        for inner in bodies(stmt):
+            yield from statements(inner)
+
+
+def subexpressions(expr: Expr) -> Iterator[Expr]:
+    """``expr`` and all expressions inside it, operands before what uses them."""
+    for child in children(expr):
+        yield from subexpressions(child)
+    yield expr
+
+
+def expressions(body: Body) -> Iterator[Expr]:
+    """All expressions in ``body``, at any depth."""
+    for stmt in statements(body):
+        for operand in operands(stmt):
+            yield from subexpressions(operand)
+
+
+def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:  # noqa: C901 - one case a kind of node
+    """A copy of ``expr`` with ``change`` applied to each operand; ``expr`` itself where none changes."""
+    old = children(expr)
+    new = tuple(change(child) for child in old)
+    if all(before is after for before, after in zip(old, new, strict=True)):
+        return expr
+    match expr:
+        case kir.ReadField() | kir.Affine() | kir.RowId() | kir.Coords() | kir.QuerySize():
+            return replace(expr, key=new[0])
+        case kir.Unary() | kir.Cast() | kir.Splat():
+            return replace(expr, operand=new[0])
+        case kir.Binary() | kir.Compare() | kir.Logic():
+            return replace(expr, left=new[0], right=new[1])
+        case kir.Choose():
+            return replace(expr, condition=new[0], then=new[1], other=new[2])
+        case kir.Build():
+            return replace(expr, elements=new)
+        case kir.Component():
+            return replace(expr, operand=new[0], indices=new[1:])
+        case kir.Call():
+            return replace(expr, arguments=new)
+        case kir.Const() | kir.Uniform() | kir.ReadLocal() | kir.ReadGlobal() | kir.Random():
+            return expr
+
+
+def map_operands(stmt: Stmt, change: Callable[[Expr], Expr]) -> Stmt:  # noqa: C901 - one case a kind of node
+    """A copy of ``stmt`` with ``change`` applied to each of its own expressions; ``stmt`` itself where none changes."""
+    old = operands(stmt)
+    new = tuple(change(operand) for operand in old)
+    if all(before is after for before, after in zip(old, new, strict=True)):
+        return stmt
+    match stmt:
+        case kir.Assign() | kir.ReduceGlobal():
+            return replace(stmt, indices=new[:-1], value=new[-1])
+        case kir.WriteField() | kir.ReduceField():
+            return replace(stmt, key=new[0], indices=new[1:-1], value=new[-1])
+        case kir.If() | kir.While() | kir.Assert():
+            return replace(stmt, condition=new[0])
+        case kir.ForRange():
+            return replace(stmt, start=new[0], stop=new[1], step=new[2])
+        case kir.ForQuery():
+            return replace(stmt, key=new[0])
+        case kir.Print():
+            rest = iter(new)
+            return replace(
+                stmt, parts=tuple(part if isinstance(part, str) else (next(rest), part[1]) for part in stmt.parts)
+            )
+        case kir.Break() | kir.Continue() | kir.Block() | kir.Leave():
+            return stmt
+
+
+def map_bodies(stmt: Stmt, change: Callable[[Body], Body]) -> Stmt:
+    """A copy of ``stmt`` with ``change`` applied to each body inside it; ``stmt`` itself where none changes."""
+    old = bodies(stmt)
+    new = tuple(change(body) for body in old)
+    if all(before is after for before, after in zip(old, new, strict=True)):
+        return stmt
+    match stmt:
+        case kir.If():
+            return replace(stmt, then=new[0], orelse=new[1])
+        case kir.ForRange() | kir.ForQuery() | kir.While() | kir.Block():
+            return replace(stmt, body=new[0])
+        case _:
+            return stmt
