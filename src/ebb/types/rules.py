@@ -1,8 +1,8 @@
 """Which types operators take and give, and which types widen to which (design, section 3).
 
-Every rule is a function of types alone. It returns what the operands must be converted to and the type of the result, or
-a ``Mismatch`` that says what is wrong; nothing here raises. Operands of a broadcast are scalars: "convert" then means
-cast the scalar to the element type of the operand type and repeat it in every component.
+Every rule is a function of types alone. It returns what the operands must be converted to and the type of the result,
+or a ``Mismatch`` that says what is wrong; nothing here raises. To convert a scalar operand to a vector or matrix is to
+cast it to the element type and to repeat it in every component.
 """
 
 from __future__ import annotations
