@@ -16,7 +16,8 @@ import numpy as np
 
 from ebb.types.types import Kind, ScalarType, Type
 
-_python: Any = operator  # its stubs leave most operands unknown
+_python: Any = operator  # the stubs of both leave most results unknown
+_where: Any = np.where
 
 
 def power(base: Any, exponent: Any) -> Any:
@@ -24,9 +25,9 @@ def power(base: Any, exponent: Any) -> Any:
     if base.dtype.kind != "i" or not np.any(exponent < 0):
         return np.power(base, exponent)
     one = base.dtype.type(1)
-    alternating: Any = np.where(exponent & one, -one, one)
-    truncated: Any = np.where(base == 1, one, np.where(base == -1, alternating, 0 * one))
-    result: Any = np.where(exponent < 0, truncated, np.power(base, np.maximum(exponent, 0 * one)))
+    alternating = _where(exponent & one, -one, one)
+    truncated = _where(base == 1, one, _where(base == -1, alternating, 0 * one))
+    result = _where(exponent < 0, truncated, np.power(base, np.maximum(exponent, 0 * one)))
     return result[()]
 
 
@@ -117,5 +118,5 @@ def _saturate(array: Any, dtype: np.dtype[Any]) -> Any:
     info = np.iinfo(dtype)
     whole = np.trunc(np.nan_to_num(array, nan=0.0, posinf=np.inf, neginf=-np.inf))
     low, high = whole <= float(info.min), whole >= float(info.max)
-    inside = np.where(low | high, 0, whole).astype(dtype)
-    return np.where(low, dtype.type(info.min), np.where(high, dtype.type(info.max), inside))
+    inside = _where(low | high, 0, whole).astype(dtype)
+    return _where(low, dtype.type(info.min), _where(high, dtype.type(info.max), inside))

@@ -123,6 +123,8 @@ class Form:
         return f"<ebb builtin {self.name}>"
 
 
+_where: Any = np.where  # its stubs leave the result unknown
+
 # ---- What the irregular rows compute ----
 
 
@@ -144,7 +146,8 @@ def _normalize(v: Any) -> Any:
 
 
 def _select(condition: Any, then: Any, other: Any) -> Any:
-    return np.where(condition, then, other)[()]
+    chosen: Any = _where(condition, then, other)
+    return chosen[()]
 
 
 def _transpose(m: Any) -> Any:
