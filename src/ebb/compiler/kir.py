@@ -116,7 +116,8 @@ class Binary:
     """``+ - * / // % ** & | ^ << >> min max`` on two operands of the type ``type``, elementwise.
 
     ``/`` is on floats only. Integer ``//`` and ``%`` by zero give 0 and overflow wraps, as in NumPy; a shift by a
-    negative amount or by the width or more gives 0 (-1 for ``>>`` of a negative number).
+    negative amount or by the width or more gives 0 (-1 for ``>>`` of a negative number). An integer to a negative power
+    is the exact value truncated: 1 or -1 where the base is, else 0. ``@`` is the ``Call`` of ``matmul``.
     """
 
     op: str
@@ -398,9 +399,16 @@ class Print:
     span: Span
 
 
+@dataclass(frozen=True, slots=True)
+class Breakpoint:
+    """Stops in the debugger on the reference backend (``sys.breakpointhook``); compiled backends pass over it."""
+
+    span: Span
+
+
 Stmt: TypeAlias = (
     Assign | WriteField | ReduceField | ReduceGlobal | If | ForRange | ForQuery | While | Break | Continue | Block
-    | Leave | Assert | Print
+    | Leave | Assert | Print | Breakpoint
 )  # fmt: skip
 
 

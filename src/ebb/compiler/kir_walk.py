@@ -45,7 +45,7 @@ def operands(stmt: Stmt) -> tuple[Expr, ...]:  # noqa: C901 - one case a kind of
             return (stmt.key,)
         case kir.Print():
             return tuple(part[0] for part in stmt.parts if not isinstance(part, str))
-        case kir.Break() | kir.Continue() | kir.Block() | kir.Leave():
+        case kir.Break() | kir.Continue() | kir.Block() | kir.Leave() | kir.Breakpoint():
             return ()
 
 
@@ -129,7 +129,7 @@ def map_operands(stmt: Stmt, change: Callable[[Expr], Expr]) -> Stmt:  # noqa: C
             return replace(
                 stmt, parts=tuple(part if isinstance(part, str) else (next(rest), part[1]) for part in stmt.parts)
             )
-        case kir.Break() | kir.Continue() | kir.Block() | kir.Leave():
+        case kir.Break() | kir.Continue() | kir.Block() | kir.Leave() | kir.Breakpoint():
             return stmt
 
 
