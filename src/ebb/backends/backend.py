@@ -1,0 +1,66 @@
+"""What a backend is: it turns checked kernels into executables, and an executable runs on sets of rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ebb.compiler import kir
+from ebb.compiler.phases.stencil import Access
+from ebb.compiler.phases.table import PhaseTable
+from ebb.relations.subset import RowSet
+
+
+@dataclass(frozen=True, slots=True)
+class Hints:
+    """What ``@ebb.kernel(...)`` asks for. Hints change speed and rounding, never meaning.
+
+    Attributes:
+        block_size: rows a work-group on a GPU; cpu and reference have no use for it.
+        fastmath: floats may be reassociated and are assumed finite.
+    """
+
+    block_size: int = 64
+    fastmath: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckedKernel:
+    """A kernel whose phases are right, after the passes, with the facts that stand beside the tree."""
+
+    kernel: kir.Kernel
+    phases: PhaseTable
+    stencil: tuple[Access, ...]
+    hints: Hints
+
+
+class Executable(Protocol):
+    """A kernel made ready to run on one backend."""
+
+    def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
+        """Runs the kernel on ``rows`` and waits until its effects can be seen.
+
+        Raises:
+            EbbError: an assertion or a bounds check of the kernel failed for some row.
+        """
+        ...
+
+    def inspect(self, stage: str) -> str | None:
+        """The text of a stage that this backend has beyond KIR, or None."""
+        ...
+
+
+class Backend(Protocol):
+    """A way to run kernels, chosen by ``ebb.set_backend``."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages beyond KIR that its executables can show."""
+        ...
+
+    def prepare(self, checked: CheckedKernel) -> Executable:
+        """Makes ``checked`` ready to run here; what can be compiled later may be."""
+        ...

@@ -1,0 +1,80 @@
+"""Which backend kernels run on: ``ebb.set_backend``, ``ebb.backend`` and ``EBB_BACKEND`` (design, section 8)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from ebb.backends.backend import Backend
+from ebb.backends.cpu import cpu_backend
+from ebb.backends.reference import reference_backend
+from ebb.errors import BackendError
+from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
+
+#: How to make each backend, and the options that it takes.
+BACKENDS: Mapping[str, tuple[Callable[..., Backend], tuple[str, ...]]] = {
+    "cpu": (cpu_backend, ("threads",)),
+    "reference": (reference_backend, ()),
+}
+
+
+@dataclass(slots=True)
+class _Selection:
+    """The one piece of state here: what ``set_backend`` chose last, None before the first use."""
+
+    backend: Backend | None = None
+
+
+_selection = _Selection()
+
+
+def set_backend(name: str, **options: Any) -> None:
+    """Makes all kernels run on the backend ``name`` from now on.
+
+    Args:
+        name: ``"cpu"`` or ``"reference"``.
+        **options: ``threads=`` for cpu, the number of threads; ``EBB_NUM_THREADS`` or all cores by default.
+
+    Raises:
+        BackendError: there is no such backend, it does not take an option, or this machine lacks what it needs.
+    """
+    _selection.backend = _make_backend(name, options)
+
+
+@contextmanager
+def backend(name: str, **options: Any) -> Iterator[None]:
+    """Makes kernels run on the backend ``name`` within a ``with`` statement. Arguments as for ``set_backend``.
+
+    Raises:
+        BackendError: as ``set_backend``.
+    """
+    chosen, before = _make_backend(name, options), _selection.backend
+    _selection.backend = chosen
+    try:
+        yield
+    finally:
+        _selection.backend = before
+
+
+def current_backend() -> Backend:
+    """The backend that launches run on: the last one set, else ``EBB_BACKEND``, else cpu.
+
+    Raises:
+        BackendError: ``EBB_BACKEND`` names no backend.
+    """
+    if _selection.backend is None:
+        _selection.backend = _make_backend(os.environ.get("EBB_BACKEND") or "cpu", {})
+    return _selection.backend
+
+
+def _make_backend(name: str, options: Mapping[str, Any]) -> Backend:
+    if name not in BACKENDS:
+        raise BackendError(UnknownBackend(str(name), tuple(BACKENDS)))
+    make, accepted = BACKENDS[name]
+    for option in options:
+        if option not in accepted:
+            raise BackendError(UnknownBackendOption(name, option, accepted))
+    return make(**options)

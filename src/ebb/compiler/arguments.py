@@ -1,0 +1,91 @@
+"""The parameters of a launch: their types, and their values as uniforms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ebb.compiler.host import HostValue, describe, evaluate
+from ebb.compiler.launch_errors import ArgumentType, UniformRange
+from ebb.errors import KernelTypeError
+from ebb.types.types import KeyType, Kind, ScalarType, Type, bool_, float64, from_dtype, int32, int64, shaped_type
+
+_INT32 = range(-(2**31), 2**31)
+_INT64 = range(-(2**63), 2**63)
+
+
+def argument_type(value: Any) -> Type | None:
+    """The type of a bare parameter's value: Python numbers as NumPy would take them, arrays by their dtype.
+
+    Returns:
+        None where the language has no type for the value.
+    """
+    match value:
+        case bool():
+            return bool_
+        case int():
+            return int32 if value in _INT32 else int64 if value in _INT64 else None
+        case float():
+            return float64
+        case np.generic() | np.ndarray():
+            scalar = from_dtype(value.dtype)
+            return shaped_type(scalar, value.shape) if scalar is not None and value.ndim <= 2 else None
+        case list() | tuple():
+            return _sequence_type(np.asarray(value))
+        case _:
+            return None
+
+
+def check_argument(kernel: str, name: str, value: Any, declared: Type) -> None:
+    """Checks that ``value`` may stand for a parameter of the type ``declared``.
+
+    Raises:
+        KernelTypeError: it is of another shape, or of a kind that does not widen to the declared one.
+    """
+    array = np.asarray(value)
+    scalar = declared.scalar
+    fits = (
+        isinstance(scalar, ScalarType)
+        and array.dtype.kind in _ACCEPTED[scalar.kind]
+        and array.shape in ((), declared.shape)
+        and (array.dtype.kind not in "iu" or scalar.kind is Kind.FLOAT or _in_range(array, scalar))
+    )
+    if not fits:
+        raise KernelTypeError(ArgumentType(kernel, name, value, declared))
+
+
+def uniform_values(kernel: str, uniforms: tuple[HostValue, ...], parameters: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Evaluates the uniforms of a kernel for one launch, each a NumPy scalar or array of its type.
+
+    Raises:
+        KernelTypeError: a value does not fit its type.
+    """
+    return tuple([_uniform_value(kernel, uniform, parameters) for uniform in uniforms])
+
+
+_ACCEPTED = {Kind.BOOL: "b", Kind.SIGNED: "iu", Kind.UNSIGNED: "iu", Kind.FLOAT: "iuf"}
+
+
+def _sequence_type(array: np.ndarray[Any, Any]) -> Type | None:
+    scalar = from_dtype(array.dtype)
+    if scalar == int64 and _in_range(array, int32):
+        scalar = int32
+    return shaped_type(scalar, array.shape) if scalar is not None and 1 <= array.ndim <= 2 else None
+
+
+def _in_range(array: np.ndarray[Any, Any], scalar: ScalarType) -> bool:
+    limits = np.iinfo(scalar.dtype)
+    return array.size == 0 or (int(array.min()) >= limits.min and int(array.max()) <= limits.max)
+
+
+def _uniform_value(kernel: str, uniform: HostValue, parameters: tuple[Any, ...]) -> Any:
+    target = uniform.type
+    assert not isinstance(target.scalar, KeyType), "a uniform is no key"
+    value = evaluate(uniform.expr, parameters)
+    try:
+        if not target.shape:
+            return target.dtype.type(value)
+        return np.broadcast_to(np.asarray(value, dtype=target.dtype), target.shape)
+    except (OverflowError, ValueError, TypeError) as error:
+        raise KernelTypeError(UniformRange(kernel, describe(uniform.expr), value, target)) from error

@@ -1,0 +1,132 @@
+"""What can be wrong with the call that launches a kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, ClassVar
+
+from ebb.diagnostics.diagnostic import Diagnostic
+from ebb.types.types import Type
+
+
+@dataclass(frozen=True)
+class NotRows(Diagnostic):
+    """The first argument of a launch is neither a relation nor a subset."""
+
+    code: ClassVar[str] = "E260"
+    kernel: str
+    value: Any
+
+    @property
+    def title(self) -> str:
+        return f"kernel '{self.kernel}' runs on a relation or a subset, not on {_shown(self.value)}"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (f"launch it as {self.kernel}(relation, ...)",)
+
+
+@dataclass(frozen=True)
+class RowsMismatch(Diagnostic):
+    """The rows of a launch are of another relation than the kernel is for."""
+
+    code: ClassVar[str] = "E261"
+    kernel: str
+    expected: str
+    given: str
+
+    @property
+    def title(self) -> str:
+        return f"kernel '{self.kernel}' is for rows of '{self.expected}', and was launched on '{self.given}'"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (
+            f"launch it on '{self.expected}' or a subset of it",
+            "leave the parameter without annotation to run the kernel on any relation that has the fields it uses",
+        )
+
+
+@dataclass(frozen=True)
+class ArgumentCount(Diagnostic):
+    """A launch has arguments that the kernel's signature does not take."""
+
+    code: ClassVar[str] = "E262"
+    kernel: str
+    signature: str
+    reason: str
+
+    @property
+    def title(self) -> str:
+        return f"the arguments do not fit kernel '{self.kernel}': {self.reason}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (f"its signature is {self.kernel}{self.signature}; the first argument is the rows to run on",)
+
+
+@dataclass(frozen=True)
+class ArgumentType(Diagnostic):
+    """An argument of a launch is of another type than the parameter."""
+
+    code: ClassVar[str] = "E263"
+    kernel: str
+    parameter: str
+    value: Any
+    expected: Type | str | None
+
+    @property
+    def title(self) -> str:
+        return f"the parameter '{self.parameter}' of kernel '{self.kernel}' does not take {_shown(self.value)}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        if self.expected is None:
+            return ("a parameter is a number, a bool, a small NumPy array or the name of a field",)
+        return (f"it is declared as {self.expected!r}" if not isinstance(self.expected, str) else self.expected,)
+
+
+@dataclass(frozen=True)
+class UniformRange(Diagnostic):
+    """A captured number does not fit the type that the kernel uses it as."""
+
+    code: ClassVar[str] = "E264"
+    kernel: str
+    expression: str
+    value: Any
+    type: Type
+
+    @property
+    def title(self) -> str:
+        return f"'{self.expression}' in kernel '{self.kernel}' is {_shown(self.value)}, which is no {self.type!r}"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("convert it where it is used, for example with ebb.int64(x), or pass a value that fits",)
+
+
+@dataclass(frozen=True)
+class UnknownStage(Diagnostic):
+    """``kernel.inspect`` was asked for a stage that there is not."""
+
+    code: ClassVar[str] = "E265"
+    kernel: str
+    stage: Any
+    backend: str
+    stages: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        return f"kernel '{self.kernel}' has no stage {self.stage!r} on the backend '{self.backend}'"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        close = get_close_matches(str(self.stage), self.stages, n=1)
+        return (f"did you mean '{close[0]}'?",) if close else (f"ask for one of {', '.join(self.stages)}",)
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    text = text if len(text) <= 60 and "\n" not in text else "a value"
+    return f"{text} ({type(value).__name__})"

@@ -1,0 +1,309 @@
+"""``@ebb.kernel`` and ``@ebb.func``: from a decorated function to a launch.
+
+Three lifetimes, three objects. A ``Kernel`` is the body: the decorated function. A ``Specialisation`` is what became of
+it for one relation and one set of parameter types: KIR, phases, executables. A ``Launch`` is a specialisation on one set
+of rows, checked once: what a repeated launch runs.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Any, overload
+
+from ebb.backends.backend import Backend, CheckedKernel, Executable, Hints
+from ebb.backends.select import current_backend
+from ebb.compiler import kir_print, kir_walk
+from ebb.compiler.arguments import argument_type, check_argument, uniform_values
+from ebb.compiler.elaborate.elaborate import elaborate
+from ebb.compiler.elaborate.function import Func
+from ebb.compiler.elaborate.guards import Guard
+from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
+from ebb.compiler.elaborate.source import SourceFunction, find_source
+from ebb.compiler.explain import explain
+from ebb.compiler.launch_errors import ArgumentCount, ArgumentType, NotRows, RowsMismatch, UnknownStage
+from ebb.compiler.phases.check import check_phases
+from ebb.compiler.phases.stencil import check_stencil, collect_stencil
+from ebb.compiler.pipeline import run_passes
+from ebb.errors import EbbError, KernelTypeError, trimmed
+from ebb.relations.field import Field
+from ebb.relations.relation import Relation
+from ebb.relations.subset import RowSet, Subset
+
+_Function = Callable[..., None]
+_Types = tuple[ParameterType, ...]
+
+
+@dataclass(slots=True, eq=False)
+class Specialisation:
+    """A kernel for one relation and one set of parameter types, as long as its guards hold."""
+
+    checked: CheckedKernel
+    guards: tuple[Guard, ...]
+    indexes: tuple[Field, ...]
+    used: tuple[Field, ...]
+    written: tuple[Field, ...]
+    executables: dict[Backend, Executable] = field(default_factory=dict[Backend, Executable])
+
+    def holds(self, parameters: tuple[Any, ...]) -> bool:
+        """Whether the captured names still are what this was made for."""
+        return all([guard.holds(parameters) for guard in self.guards])
+
+    def executable(self, backend: Backend) -> Executable:
+        """This specialisation, ready to run on ``backend``."""
+        executable = self.executables.get(backend)
+        if executable is None:
+            executable = self.executables[backend] = backend.prepare(self.checked)
+        return executable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Launch:
+    """A specialisation on a set of rows for which its stencil has been checked."""
+
+    specialisation: Specialisation
+    rows: RowSet
+
+    def run(self, parameters: tuple[Any, ...]) -> None:
+        """Runs the kernel once, on the current backend."""
+        specialisation = self.specialisation
+        for index in specialisation.indexes:
+            index.valid_grouping().refresh()
+        for used in specialisation.used:
+            used.check_no_view()
+        kernel = specialisation.checked.kernel
+        uniforms = uniform_values(kernel.name, kernel.uniforms, parameters) if kernel.uniforms else ()
+        executable = specialisation.executable(current_backend())
+        try:
+            executable.launch(self.rows, uniforms)
+        finally:
+            for written in specialisation.written:
+                written.changed()
+
+
+class Kernel:
+    """A function over the rows of a relation, made by ``@ebb.kernel``. Calling it launches it.
+
+    A kernel is checked and compiled at its first launch on a relation, or by ``check``; all of its errors are reported at
+    once. A launch runs the function for every row of a relation or subset, in any order, as if at the same time.
+    """
+
+    def __init__(
+        self, function: _Function, hints: Hints, text: str | None, frame_locals: Mapping[str, Any] | None
+    ) -> None:
+        functools.update_wrapper(self, function)
+        self._name = function.__name__
+        self._function = function
+        self._hints = hints
+        self._text = text
+        self._frame_locals = frame_locals
+        self._specialisations: dict[tuple[Relation, _Types], list[Specialisation]] = {}
+        self._launches: dict[tuple[RowSet, _Types], list[Launch]] = {}
+
+    def __repr__(self) -> str:
+        return f"<ebb.kernel {self._name}{self._signature}>"
+
+    def __call__(self, rows: Relation | Subset, /, *parameters: Any, **named: Any) -> None:
+        """Launches the kernel on every row of ``rows``.
+
+        Args:
+            rows: a relation, or a subset of one.
+            *parameters: the further parameters of the kernel, in order or by name.
+
+        Raises:
+            EbbError: the kernel is wrong, does not fit the rows or the parameters, or failed for some row.
+        """
+        try:
+            arguments = self._bind(rows, parameters, named)
+            self._find_launch(rows, arguments).run(arguments)
+        except EbbError as error:
+            raise trimmed(error) from error.__cause__
+
+    def check(self, rows: Relation | Subset, /, *parameters: Any, **named: Any) -> None:
+        """Checks the kernel for ``rows`` without running it.
+
+        Raises:
+            EbbError: every error of the kernel, at once.
+        """
+        try:
+            self._find_launch(rows, self._bind(rows, parameters, named))
+        except EbbError as error:
+            raise trimmed(error) from error.__cause__
+
+    def explain(self, rows: Relation | Subset, /, *parameters: Any, **named: Any) -> str:
+        """How the kernel will run on ``rows``: phases, reductions, layout, and bytes and operations a row.
+
+        Raises:
+            EbbError: as ``check``.
+        """
+        launch = self._find_launch(rows, self._bind(rows, parameters, named))
+        checked = launch.specialisation.checked
+        return explain(checked.kernel, checked.phases)
+
+    def inspect(self, rows: Relation | Subset, stage: str, /, *parameters: Any, **named: Any) -> str:
+        """The kernel at one stage of its compilation for the current backend.
+
+        Args:
+            rows: a relation or subset.
+            stage: ``"kir"``; on cpu also ``"lir"``, ``"llvm"`` and ``"asm"``.
+
+        Raises:
+            EbbError: as ``check``, or there is no such stage.
+        """
+        launch = self._find_launch(rows, self._bind(rows, parameters, named))
+        if stage == "kir":
+            return kir_print.text(launch.specialisation.checked.kernel)
+        for index in launch.specialisation.indexes:
+            index.valid_grouping().refresh()
+        backend = current_backend()
+        text = launch.specialisation.executable(backend).inspect(stage)
+        if text is None:
+            raise KernelTypeError(UnknownStage(self._name, stage, backend.name, ("kir", *backend.stages)))
+        return text
+
+    @functools.cached_property
+    def source(self) -> SourceFunction:
+        """The kernel's source, found when it is first needed.
+
+        Raises:
+            KernelSyntaxError: Python keeps no source of the function, or what it keeps is not this function.
+        """
+        return find_source(self._function, self._text, self._frame_locals)
+
+    @functools.cached_property
+    def _signature(self) -> inspect.Signature:
+        parameters = list(inspect.signature(self._function).parameters.values())
+        return inspect.Signature([p.replace(annotation=inspect.Parameter.empty) for p in parameters[1:]])
+
+    @functools.cached_property
+    def _declared(self) -> tuple[tuple[str, ParameterType | type[str] | None], ...]:
+        return tuple(parameter_types(self.source).items())
+
+    def _bind(self, rows: Any, parameters: tuple[Any, ...], named: Mapping[str, Any]) -> tuple[Any, ...]:
+        """The further parameters in the order of the signature, defaults filled in."""
+        if not isinstance(rows, Relation | Subset):
+            raise KernelTypeError(NotRows(self._name, rows))
+        if not named and len(parameters) == len(self._declared):
+            return parameters
+        try:
+            bound = self._signature.bind(*parameters, **named)
+        except TypeError as error:
+            raise KernelTypeError(ArgumentCount(self._name, str(self._signature), str(error))) from None
+        bound.apply_defaults()
+        return bound.args
+
+    def _types(self, arguments: tuple[Any, ...]) -> _Types:
+        """The type of each further parameter: the declared one, else that of its argument."""
+        return tuple([self._type(name, declared, value) for (name, declared), value in zip(self._declared, arguments)])
+
+    def _type(self, name: str, declared: ParameterType | type[str] | None, value: Any) -> ParameterType:
+        if declared is str or (declared is None and isinstance(value, str)):
+            if not isinstance(value, str):
+                raise KernelTypeError(ArgumentType(self._name, name, value, "it is declared as the name of a field"))
+            return FieldName(value)
+        if declared is None or isinstance(declared, type):
+            bare = argument_type(value)
+            if bare is None:
+                raise KernelTypeError(ArgumentType(self._name, name, value, None))
+            return bare
+        if not isinstance(declared, FieldName):
+            check_argument(self._name, name, value, declared)
+        return declared
+
+    def _find_launch(self, rows: RowSet, arguments: tuple[Any, ...]) -> Launch:
+        types = self._types(arguments) if arguments else ()
+        launches = self._launches.setdefault((rows, types), [])
+        for launch in launches:
+            if launch.specialisation.holds(arguments):
+                return launch
+        specialisation = self._find_specialisation(rows.relation, types, arguments)
+        checked = specialisation.checked
+        check_stencil(checked.kernel, checked.stencil, rows)
+        launch = Launch(specialisation, rows)
+        launches.append(launch)
+        return launch
+
+    def _find_specialisation(self, relation: Relation, types: _Types, arguments: tuple[Any, ...]) -> Specialisation:
+        expected = row_annotation(self.source)
+        if expected is not None and expected is not relation:
+            raise KernelTypeError(RowsMismatch(self._name, expected.name, relation.name))
+        known = self._specialisations.setdefault((relation, types), [])
+        for specialisation in known:
+            if specialisation.holds(arguments):
+                return specialisation
+        specialisation = self._specialise(relation, types, arguments)
+        known.append(specialisation)
+        return specialisation
+
+    def _specialise(self, relation: Relation, types: _Types, arguments: tuple[Any, ...]) -> Specialisation:
+        elaborated = elaborate(self.source, relation, types, arguments)
+        phases = check_phases(elaborated.kernel)
+        kernel = run_passes(elaborated.kernel)
+        checked = CheckedKernel(kernel, phases, collect_stencil(kernel), self._hints)
+        return Specialisation(
+            checked,
+            elaborated.guards,
+            indexes=tuple(kir_walk.queried_fields(kernel)),
+            used=tuple(phases.fields),
+            written=tuple(f for f, phase in phases.fields.items() if phase.written or phase.reduced),
+        )
+
+
+@overload
+def kernel(function: _Function, /) -> Kernel: ...
+@overload
+def kernel(
+    *, block_size: int = 64, fastmath: bool = False, source: str | None = None
+) -> Callable[[_Function], Kernel]: ...
+def kernel(
+    function: _Function | None = None,
+    /,
+    *,
+    block_size: int = 64,
+    fastmath: bool = False,
+    source: str | None = None,
+) -> Kernel | Callable[[_Function], Kernel]:
+    """Makes a kernel of a function whose first parameter is a row (design, section 5; paper, section 3.1).
+
+    Args:
+        function: the function; its first parameter is annotated with a relation, or bare and then typed at each launch.
+        block_size: rows a work-group, a hint for GPUs.
+        fastmath: allows floats to be reassociated and assumes them finite.
+        source: the text that defines the function, for functions whose source Python does not keep.
+    """
+    hints = Hints(block_size=block_size, fastmath=fastmath)
+    frame_locals = _enclosing_locals(sys._getframe(1))
+    if function is not None:
+        return Kernel(function, hints, source, frame_locals)
+    return lambda inner: Kernel(inner, hints, source, frame_locals)
+
+
+@overload
+def func(function: Callable[..., Any], /) -> Func: ...
+@overload
+def func(*, source: str | None = None) -> Callable[[Callable[..., Any]], Func]: ...
+def func(
+    function: Callable[..., Any] | None = None, /, *, source: str | None = None
+) -> Func | Callable[[Callable[..., Any]], Func]:
+    """Makes a function that kernels call: typed by its arguments at each call, inlined, not recursive.
+
+    Args:
+        function: the function; annotations of its parameters are enforced.
+        source: the text that defines the function, for functions whose source Python does not keep.
+    """
+    frame_locals = _enclosing_locals(sys._getframe(1))
+    if function is not None:
+        return Func(function, source, frame_locals)
+    return lambda inner: Func(inner, source, frame_locals)
+
+
+def _enclosing_locals(frame: FrameType) -> Mapping[str, Any] | None:
+    """The locals of the function that runs the decorator, None at module level.
+
+    Annotations that are kept as text (PEP 563) may name locals of that function which the closure does not hold.
+    """
+    return None if frame.f_locals is frame.f_globals else dict(frame.f_locals)
