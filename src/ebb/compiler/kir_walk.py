@@ -9,7 +9,7 @@ from ebb.compiler import kir
 from ebb.compiler.kir import Body, Expr, Stmt
 
 
-def children(expr: Expr) -> tuple[Expr, ...]:  # noqa: C901 - one case a kind of node
+def children(expr: Expr) -> tuple[Expr, ...]:
     """The operands of ``expr``, in the order in which they are evaluated."""
     match expr:
         case kir.Const() | kir.Uniform() | kir.ReadLocal() | kir.ReadGlobal() | kir.Random():
@@ -30,7 +30,7 @@ def children(expr: Expr) -> tuple[Expr, ...]:  # noqa: C901 - one case a kind of
             return expr.arguments
 
 
-def operands(stmt: Stmt) -> tuple[Expr, ...]:  # noqa: C901 - one case a kind of node
+def operands(stmt: Stmt) -> tuple[Expr, ...]:
     """The expressions that stand in ``stmt`` itself, not in the bodies inside it."""
     match stmt:
         case kir.Assign() | kir.ReduceGlobal():
@@ -82,7 +82,7 @@ def expressions(body: Body) -> Iterator[Expr]:
             yield from subexpressions(operand)
 
 
-def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:  # noqa: C901 - one case a kind of node
+def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
     """A copy of ``expr`` with ``change`` applied to each operand; ``expr`` itself where none changes."""
     old = children(expr)
     new = tuple(change(child) for child in old)
@@ -107,7 +107,7 @@ def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:  # noqa: C
             return expr
 
 
-def map_operands(stmt: Stmt, change: Callable[[Expr], Expr]) -> Stmt:  # noqa: C901 - one case a kind of node
+def map_operands(stmt: Stmt, change: Callable[[Expr], Expr]) -> Stmt:
     """A copy of ``stmt`` with ``change`` applied to each of its own expressions; ``stmt`` itself where none changes."""
     old = operands(stmt)
     new = tuple(change(operand) for operand in old)
