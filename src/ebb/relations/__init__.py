@@ -1,0 +1,1 @@
+"""Relations and what they have: fields, groupings, subsets, members; and globals."""

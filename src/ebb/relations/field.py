@@ -1,0 +1,265 @@
+"""Fields: one value of one type for each row of a relation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from ebb.errors import RelationError
+from ebb.relations.errors import ForeignField, KeysNotWritable, TypeMismatch, ViewOpen
+from ebb.relations.loading import Place, called_by_row, converted, target_of
+from ebb.relations.storage import through_table
+from ebb.runtime.buffer import Array, Buffer
+from ebb.types.types import Type
+
+if TYPE_CHECKING:
+    from ebb.relations.grouping import Grouping
+    from ebb.relations.relation import Relation
+
+UNSET = -1
+"""What is stored for a key that has never been loaded or written."""
+
+
+class Field:
+    """A column of a relation. ``Relation.new_field`` makes them.
+
+    Two fields are equal only if they are the same field.
+
+    Attributes:
+        name: unique in the relation.
+        type: of each row's value.
+        relation: whose rows have the values.
+        grouping: the index that ``group_by`` made, or None.
+        version: counts the changes of the values; what is derived from them compares it.
+    """
+
+    __slots__ = ("__weakref__", "_buffer", "_open_views", "_unset", "grouping", "name", "relation", "type", "version")
+
+    def __init__(self, relation: Relation, name: str, type_: Type) -> None:
+        self.relation = relation
+        self.name = name
+        self.type = type_
+        self.grouping: Grouping | None = None
+        self.version = 0
+        self._open_views = 0
+        self._buffer = Buffer((relation.size, *type_.shape), type_.dtype)
+        self._unset: bool | None = False
+        if target_of(type_) is not None:
+            self.data.fill(UNSET)
+            self._unset = relation.size > 0
+
+    @property
+    def path(self) -> str:
+        """The name that messages use: ``vertices.pos``."""
+        return f"{self.relation.name}.{self.name}"
+
+    @property
+    def data(self) -> Array:
+        """The values in storage order, shape ``(relation.size, *type.shape)``; keys are positions, -1 where unset.
+
+        The array is C-contiguous and aligned to 64 bytes. Swapping and grouping replace it, so nobody keeps it. Who
+        writes to it calls ``changed`` afterwards.
+        """
+        return self._buffer.host
+
+    @property
+    def target(self) -> Relation | None:
+        """The relation that the field's keys refer to, None where it holds no keys."""
+        return target_of(self.type)
+
+    @property
+    def maybe_unset(self) -> bool:
+        """Whether some key of the field is unset. False where it holds no keys."""
+        if self._unset is None:
+            self._unset = self.data.size > 0 and int(self.data.min()) < 0
+        return self._unset
+
+    def changed(self) -> None:
+        """Says that ``data`` has been written, by a kernel or through a view."""
+        self.version += 1
+        if target_of(self.type) is not None:
+            self._unset = None
+
+    def load(self, value: Any) -> None:
+        """Sets the values of all rows. A load that fails changes nothing.
+
+        Args:
+            value: a constant of the type, where one number fills every component; or an array of the shape
+                ``relation.shape + type.shape``; or another field of the relation; or a function that is called once a
+                row with its index, on a grid with its indices. Keys are row numbers, and for a grid index tuples: one
+                more trailing axis of the length ``ndim``.
+
+        Raises:
+            RelationError: the value does not fit in shape or kind, a number or key is out of range, or a writable view
+                of the field is open.
+        """
+        self.check_no_view()
+        match value:
+            case Field():
+                self._load_field(value)
+            case _ if _is_function(value):
+                self._store(converted(called_by_row(value, self._place()), self._place()))
+            case _:
+                self._store(converted(value, self._place()))
+
+    def fill(self, value: Any) -> None:
+        """Sets the values of all rows to the constant ``value``; one number fills every component.
+
+        Raises:
+            RelationError: as ``load``.
+        """
+        self.check_no_view()
+        self._store(converted(value, Place(self.path, self.type, ())))
+
+    def to_numpy(self) -> Array:
+        """A copy of the values in the order of row numbers, shape ``relation.shape + type.shape``.
+
+        Keys are row numbers, and for a grid index tuples on one more trailing axis; unset keys are -1.
+        """
+        rank = self.relation.storage.rank
+        values = self.data.copy() if rank is None else np.take(self.data, rank, axis=0)
+        target = target_of(self.type)
+        if target is not None:
+            values = target.storage.identities_of(values)
+            if target.is_grid:
+                values = _index_tuples(values, target.shape)
+        return values.reshape(self.relation.shape + values.shape[1:])
+
+    def view(self, write: bool = False) -> Any:
+        """The runtime's own memory as a NumPy array of the shape ``relation.shape + type.shape``, without a copy.
+
+        Rows lie in storage order, which grouping the relation changes, and keys are the places of rows in that order.
+        A view shows the memory that the field had when it was taken: take a new one after a swap or a grouping.
+
+        Args:
+            write: returns a context manager instead, whose value is a writable array. Until it is left, launches that
+                touch the field raise.
+
+        Raises:
+            RelationError: ``write`` on a field of keys.
+        """
+        if write:
+            return WritableView(self)
+        array = self._shaped()
+        array.flags.writeable = False
+        return array
+
+    def check_no_view(self) -> None:
+        """Raises while a writable view is open; what uses the field calls this first.
+
+        Raises:
+            RelationError: a writable view of the field is open.
+        """
+        if self._open_views:
+            raise RelationError(ViewOpen(self.path))
+
+    def permute(self, order: Array) -> None:
+        """Moves the row at position ``order[p]`` to ``p``; ``Relation.permute`` calls this."""
+        self._buffer = self._buffer.permuted(order)
+
+    def retarget(self, moved: Array) -> None:
+        """Rewrites the keys after the row at position ``p`` of the target has moved to ``moved[p]``."""
+        self.data[...] = through_table(moved, self.data)
+
+    def swap_with(self, other: Field) -> None:
+        """Exchanges the values with those of a field of the same relation and type, in constant time."""
+        self._buffer, other._buffer = other._buffer, self._buffer
+        self._unset, other._unset = other._unset, self._unset
+        self.version += 1
+        other.version += 1
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        if copy is False:
+            raise ValueError(f"the values of {self.path} are copied to NumPy; use view() for an array without a copy")
+        values = self.to_numpy()
+        return values if dtype is None else values.astype(dtype, copy=False)
+
+    def __dlpack__(self, **options: Any) -> Any:
+        """The memory of ``view()`` for another library, as DLPack defines it: read-only where the consumer knows how."""
+        if options.get("max_version") is None and target_of(self.type) is None:
+            return self._shaped().__dlpack__(**options)  # older consumers take no read-only memory
+        return self.view().__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        device = self.data.__dlpack_device__()
+        return (int(device[0]), int(device[1]))
+
+    def __repr__(self) -> str:
+        return f"<field {self.path}: {self.type!r}, {self.relation.size} rows>"
+
+    def _place(self) -> Place:
+        return Place(self.path, self.type, self.relation.shape)
+
+    def _shaped(self) -> Array:
+        """A new array object on the memory, in the shape of the relation."""
+        return self.data.reshape(self.relation.shape + self.type.shape)
+
+    def _load_field(self, source: Field) -> None:
+        if source.relation is not self.relation:
+            raise RelationError(ForeignField(self.relation.name, source.path))
+        source.check_no_view()
+        if source.type == self.type:
+            np.copyto(self.data, source.data)
+            self.version += 1
+            self._unset = source._unset
+        elif source.type.shape != self.type.shape or source.target is not None or self.target is not None:
+            raise RelationError(
+                TypeMismatch("load", self.path, repr(self.type), source.path, repr(source.type)),
+            )
+        else:
+            self._store(converted(source.to_numpy(), self._place()))
+
+    def _store(self, values: Array) -> None:
+        """Writes what ``converted`` gave."""
+        size, shape = self.relation.size, self.type.shape
+        order = self.relation.storage.order
+        if values.ndim <= len(shape):
+            self.data[...] = values
+        elif order is None:
+            self.data[...] = values.reshape(size, *shape)
+        else:
+            np.take(values.reshape(size, *shape), order, axis=0, out=self.data, mode="clip")
+        self.version += 1
+        self._unset = False
+
+
+class WritableView:
+    """What ``field.view(write=True)`` gives: ``with`` it the host owns the field's memory, as a writable array."""
+
+    __slots__ = ("_arrays", "_field")
+
+    def __init__(self, field: Field) -> None:
+        if field.target is not None:
+            raise RelationError(KeysNotWritable(field.path))
+        self._field = field
+        self._arrays: list[Array] = []
+
+    def __enter__(self) -> Array:
+        self._field._open_views += 1
+        self._arrays.append(self._field._shaped())
+        return self._arrays[-1]
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._arrays.pop().flags.writeable = False
+        self._field._open_views -= 1
+        self._field.changed()
+
+
+def _is_function(value: Any) -> bool:
+    return callable(value) and not hasattr(value, "__array__")
+
+
+def _index_tuples(positions: Array, shape: tuple[int, ...]) -> Array:
+    """The indices of grid rows on one more trailing axis; -1 for each index of an unset key."""
+    indices = np.empty((*positions.shape, len(shape)), dtype=positions.dtype)
+    rest = positions
+    for axis in range(len(shape) - 1, 0, -1):
+        rest, indices[..., axis] = np.divmod(rest, max(shape[axis], 1))
+    indices[..., 0] = rest
+    indices[positions < 0] = UNSET
+    return indices

@@ -1,0 +1,97 @@
+"""Globals, which kernels read and reduce, and constants, which fix the type of a number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ebb.errors import RelationError
+from ebb.relations.errors import NotNumbers
+from ebb.relations.loading import Place, converted
+from ebb.runtime.buffer import Array, Buffer
+from ebb.types.types import KeyType, Type, as_type
+
+
+class Global:
+    """A value that belongs to no row: kernels read it, or reduce into it with one operator.
+
+    Attributes:
+        type: of the value, a scalar, vector or matrix of numbers or bools.
+    """
+
+    __slots__ = ("__weakref__", "_buffer", "type")
+
+    def __init__(self, type: Any, initial: Any) -> None:
+        """A global of ``type`` that holds ``initial``; one number fills every component.
+
+        Raises:
+            TypeError: ``type`` is no type.
+            RelationError: ``type`` is of keys, or ``initial`` does not fit.
+        """
+        self.type: Type = _numeric(as_type(type), "global")
+        self._buffer = Buffer(self.type.shape, self.type.dtype)
+        self.value = initial
+
+    @property
+    def data(self) -> Array:
+        """The value as an array of ``type.shape``, at an address that never changes."""
+        return self._buffer.host
+
+    @property
+    def value(self) -> Any:
+        """The value: a Python number, or a copy as a NumPy array. Setting it fills every component with one number.
+
+        Raises:
+            RelationError: what is set does not fit in shape, kind or range; the value is then unchanged.
+        """
+        return self.data.copy() if self.type.shape else self.data.item()
+
+    @value.setter
+    def value(self, value: Any) -> None:
+        self.data[...] = converted(value, Place("global", self.type, ()))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        if copy is False:
+            raise ValueError("the value of a global is copied to NumPy")
+        return np.array(self.data, dtype=dtype)
+
+    def __repr__(self) -> str:
+        return f"Global({self.type!r}, {self.data.tolist()!r})"
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A number of a fixed type. ``value`` is a Python number or bool, or nested tuples of these."""
+
+    value: Any
+    type: Type
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return np.array(self.value, dtype=self.type.dtype if dtype is None else dtype)
+
+    def __repr__(self) -> str:
+        return f"constant({self.value!r}, {self.type!r})"
+
+
+def constant(value: Any, type: Any) -> Constant:
+    """``value`` rounded to ``type``, for use in kernels, where it keeps that type; one number fills every component.
+
+    Raises:
+        TypeError: ``type`` is no type.
+        RelationError: ``type`` is of keys, or ``value`` does not fit.
+    """
+    fixed = _numeric(as_type(type), "constant")
+    array = np.broadcast_to(converted(value, Place("constant", fixed, ())), fixed.shape)
+    return Constant(_nested(array.tolist()), fixed)
+
+
+def _nested(value: Any) -> Any:
+    return tuple(_nested(item) for item in value) if isinstance(value, list) else value  # pyright: ignore
+
+
+def _numeric(type_: Type, what: str) -> Type:
+    if isinstance(type_.scalar, KeyType):
+        raise RelationError(NotNumbers(what, repr(type_)))
+    return type_

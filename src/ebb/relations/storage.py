@@ -1,0 +1,73 @@
+"""Where the rows of a relation lie: the identity of a row is for ever, its position is not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from weakref import WeakSet
+
+import numpy as np
+import numpy.typing as npt
+
+from ebb.runtime.buffer import Array
+
+if TYPE_CHECKING:
+    from ebb.relations.field import Field
+    from ebb.relations.grouping import Grouping
+
+Rows = npt.NDArray[np.int64]
+
+
+class Storage:
+    """The order in which the rows of one relation are stored, and who must know when it changes.
+
+    Attributes:
+        size: the number of rows.
+        order: identity by position, or None while every row lies at its identity.
+        rank: position by identity, the inverse of ``order``, or None.
+        version: counts the permutations; what is derived from positions compares it.
+        referrers: the key fields that point to the relation, held weakly.
+        primary: the grouping that decides the order, or None.
+    """
+
+    __slots__ = ("order", "primary", "rank", "referrers", "size", "version")
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.order: Rows | None = None
+        self.rank: Rows | None = None
+        self.version = 0
+        self.referrers: WeakSet[Field] = WeakSet()
+        self.primary: Grouping | None = None
+
+    def rows_by_identity(self) -> Rows:
+        """The position of each row, in the order of identities."""
+        return np.arange(self.size, dtype=np.int64) if self.rank is None else self.rank
+
+    def positions_of(self, identities: Array) -> Array:
+        """The positions of the rows with these identities, all in range."""
+        return identities if self.rank is None else self.rank[identities]
+
+    def identities_of(self, positions: Array) -> Array:
+        """The identities of the rows at these positions; -1, the unset key, stays -1."""
+        if self.order is None:
+            return positions
+        return through_table(self.order, positions).astype(positions.dtype)
+
+    def reorder(self, order: Rows) -> None:
+        """Records that the row at position ``order[p]`` has moved to ``p``."""
+        self.order = order.copy() if self.order is None else self.order[order]
+        self.rank = inverse(self.order)
+        self.version += 1
+
+
+def inverse(order: Rows) -> Rows:
+    """The inverse of a permutation."""
+    result = np.empty_like(order)
+    result[order] = np.arange(order.size, dtype=np.int64)
+    return result
+
+
+def through_table(table: Array, keys: Array) -> Array:
+    """``table[keys]`` with -1, the unset key, going to -1."""
+    # Python's negative index does the test for us: entry -1 of the longer table is its last one.
+    return np.append(table, -1)[keys]
