@@ -1,0 +1,68 @@
+"""Which keys of a kernel are centered: surely the kernel's own row (design, section 5)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from ebb.compiler import kir
+from ebb.compiler.kir_walk import statements
+from ebb.relations.relation import Relation
+
+
+@dataclass(frozen=True, slots=True)
+class Centered:
+    """The locals of one kernel that hold its own row, by ``uid``."""
+
+    relation: Relation
+    locals: frozenset[int]
+
+    def is_centered(self, key: kir.Expr) -> bool:
+        """Whether ``key`` is the kernel's own row in every run: a centered local, or an identity affine map of one."""
+        match key:
+            case kir.ReadLocal(local):
+                return local.uid in self.locals
+            case kir.Affine(matrix, base):
+                return key.type == self.relation.key_type and is_identity(matrix) and self.is_centered(base)
+            case _:
+                return False
+
+
+def find_centered(kernel: kir.Kernel) -> Centered:
+    """The centered keys of ``kernel``: its row, and each local bound in one place only, to a centered key."""
+    assigned = single_assignments(kernel)
+    rows = frozenset[int]() if kernel.row.uid in _assigned_uids(kernel) else frozenset({kernel.row.uid})
+    centered = Centered(kernel.relation, rows)
+    while True:
+        more = {uid for uid, value in assigned.items() if centered.is_centered(value)} - centered.locals
+        if not more:
+            return centered
+        centered = Centered(kernel.relation, centered.locals | more)
+
+
+def single_assignments(kernel: kir.Kernel) -> Mapping[int, kir.Expr]:
+    """The value of each local that exactly one statement binds, where that is a whole assignment, by ``uid``."""
+    counts = _assigned_uids(kernel)
+    return {
+        stmt.local.uid: stmt.value
+        for stmt in statements(kernel.body)
+        if isinstance(stmt, kir.Assign) and not stmt.indices and counts[stmt.local.uid] == 1
+    }
+
+
+def is_identity(matrix: tuple[tuple[Fraction, ...], ...]) -> bool:
+    """Whether an affine map leaves the coordinates of its base as they are."""
+    return all(
+        entry == (1 if column == row else 0)
+        for row, entries in enumerate(matrix)
+        for column, entry in enumerate(entries)
+    )
+
+
+def _assigned_uids(kernel: kir.Kernel) -> Counter[int]:
+    """How many statements of the kernel bind each local."""
+    return Counter(
+        stmt.local.uid for stmt in statements(kernel.body) if isinstance(stmt, kir.Assign | kir.ForRange | kir.ForQuery)
+    )
