@@ -1,0 +1,32 @@
+"""Options and fixtures that all kinds of tests share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+# Test processes run side by side, so threads that wait must not spin. Read when an OpenMP runtime is loaded.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+Golden = Callable[[Path, str], None]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--update-golden", action="store_true", help="write the golden files instead of comparing")
+
+
+@pytest.fixture
+def golden(request: pytest.FixtureRequest) -> Golden:
+    """Compares a text with a golden file, or writes the file under ``--update-golden``."""
+
+    def check(path: Path, text: str) -> None:
+        if request.config.getoption("--update-golden"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        assert path.is_file(), f"there is no {path.name}; write it with --update-golden, then read it"
+        assert text == path.read_text(encoding="utf-8")
+
+    return check

@@ -1,0 +1,13 @@
+from world import make_grid
+
+import ebb
+
+cells = make_grid()
+
+
+@ebb.kernel
+def shift(c: cells):
+    c.new_T = c(9, 0).T  #~
+
+
+shift(cells)

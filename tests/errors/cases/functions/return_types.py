@@ -1,0 +1,20 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.func
+def limit(x):
+    if x > 1:
+        return x
+    return True  #~
+
+
+@ebb.kernel
+def step(v: vertices):
+    v.mass = limit(v.mass)
+
+
+step(vertices)

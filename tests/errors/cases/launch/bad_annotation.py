@@ -1,0 +1,13 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(v: vertices, dt: float):  #~
+    v.mass = dt
+
+
+step(vertices, 1.0)

@@ -1,0 +1,13 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def copy(v: vertices, dst: str, src: str):
+    v[dst] = v[src]  #~
+
+
+copy(vertices, "q", "postion")

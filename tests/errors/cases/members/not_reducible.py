@@ -1,0 +1,23 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@vertices.member
+def weight(v):
+    return 9.81 * v.mass
+
+
+@weight.setter
+def set_weight(v, value):
+    v.mass = value / 9.81
+
+
+@ebb.kernel
+def step(v: vertices):
+    v.weight += 1.0  #~
+
+
+step(vertices)

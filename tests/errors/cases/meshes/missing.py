@@ -1,0 +1,4 @@
+import ebb
+from ebb.domains import TetMesh
+
+TetMesh.load("dragon.veg")  #~

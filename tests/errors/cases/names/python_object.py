@@ -1,0 +1,14 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+settings = {"gravity": 9.81}
+
+
+@ebb.kernel
+def step(v: vertices):
+    v.mass *= settings  #~
+
+
+step(vertices)

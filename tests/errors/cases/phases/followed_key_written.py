@@ -1,0 +1,14 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def turn(v: vertices):
+    for e in v.edges:
+        e.tail = e.head  #~
+
+
+turn(vertices)

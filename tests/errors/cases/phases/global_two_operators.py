@@ -1,0 +1,15 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+E = ebb.Global(ebb.float64, 0.0)
+
+
+@ebb.kernel
+def measure(v: vertices):
+    E.value += v.mass
+    E.value *= v.mass  #~
+
+
+measure(vertices)

@@ -1,0 +1,14 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(v: vertices):
+    for e in ebb.where(edges.head, v):  #~
+        v.mass += e.rest_len
+
+
+step(vertices)

@@ -1,0 +1,14 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(e: edges):
+    for other in ebb.where(edges.tail, e):  #~
+        e.rest_len += other.rest_len
+
+
+step(edges)

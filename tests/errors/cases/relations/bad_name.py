@@ -1,0 +1,3 @@
+import ebb
+
+ebb.Relation("my edges", size=3)  #~

@@ -1,0 +1,3 @@
+import ebb
+
+ebb.Relation("edges", size=-1)  #~

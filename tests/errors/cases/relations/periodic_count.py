@@ -1,0 +1,3 @@
+import ebb
+
+ebb.Relation("cells", shape=(4, 4), periodic=(True, False, True))  #~

@@ -1,0 +1,6 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+vertices.new_field("q", ebb.float32)  #~

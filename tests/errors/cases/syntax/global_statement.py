@@ -1,0 +1,15 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+total = 0.0
+
+
+@ebb.kernel
+def step(v: vertices):
+    global total  #~
+    total += v.mass
+
+
+step(vertices)

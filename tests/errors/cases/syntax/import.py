@@ -1,0 +1,15 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(v: vertices):
+    import math  #~
+
+    v.mass = math.pi
+
+
+step(vertices)

@@ -1,0 +1,13 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(v: vertices):
+    v.mass = ebb.clamp(v.mass, low=0.0, high=1.0)  #~
+
+
+step(vertices)

@@ -1,0 +1,7 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+step = ebb.kernel(lambda v: v.mass)  #~
+step(vertices)

@@ -1,0 +1,16 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(v: vertices):
+    def double(x):  #~
+        return 2 * x
+
+    v.mass = double(v.mass)
+
+
+step(vertices)

@@ -1,0 +1,14 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(v: vertices):
+    with open("log") as log:  #~
+        v.mass = 1.0
+
+
+step(vertices)

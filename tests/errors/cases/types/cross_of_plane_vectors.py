@@ -1,0 +1,13 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(v: vertices):
+    v.qd = ebb.cross([v.q.x, v.q.y], [1.0, 0.0])  #~
+
+
+step(vertices)

@@ -1,0 +1,14 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(e: edges):
+    if e.head < e.tail:  #~
+        e.rest_len = 0
+
+
+step(edges)
