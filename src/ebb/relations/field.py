@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Generator
+from contextlib import AbstractContextManager, contextmanager
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
@@ -128,7 +128,13 @@ class Field:
                 values = _index_tuples(values, target.shape)
         return values.reshape(self.relation.shape + values.shape[1:])
 
-    def view(self, write: bool = False) -> Any:
+    @overload
+    def view(self, write: Literal[False] = False) -> Array: ...
+
+    @overload
+    def view(self, write: Literal[True]) -> AbstractContextManager[Array]: ...
+
+    def view(self, write: bool = False) -> Array | AbstractContextManager[Array]:
         """The runtime's own memory as a NumPy array of the shape ``relation.shape + type.shape``, without a copy.
 
         Rows lie in storage order, which grouping the relation changes, and keys are the places of rows in that order.
@@ -142,7 +148,9 @@ class Field:
             RelationError: ``write`` on a field of keys.
         """
         if write:
-            return WritableView(self)
+            if self.target is not None:
+                raise RelationError(KeysNotWritable(self.path))
+            return self._writable_view()
         array = self._shaped()
         array.flags.writeable = False
         return array
@@ -178,7 +186,7 @@ class Field:
         return values if dtype is None else values.astype(dtype, copy=False)
 
     def __dlpack__(self, **options: Any) -> Any:
-        """The memory of ``view()`` for another library, as DLPack defines it: read-only where the consumer knows how."""
+        """The memory of ``view()`` for another library, as DLPack says: read-only where the consumer knows how."""
         if options.get("max_version") is None and target_of(self.type) is None:
             return self._shaped().__dlpack__(**options)  # older consumers take no read-only memory
         return self.view().__dlpack__(**options)
@@ -189,6 +197,17 @@ class Field:
 
     def __repr__(self) -> str:
         return f"<field {self.path}: {self.type!r}, {self.relation.size} rows>"
+
+    @contextmanager
+    def _writable_view(self) -> Generator[Array, None, None]:
+        array = self._shaped()
+        self._open_views += 1
+        try:
+            yield array
+        finally:
+            array.flags.writeable = False
+            self._open_views -= 1
+            self.changed()
 
     def _place(self) -> Place:
         return Place(self.path, self.type, self.relation.shape)
@@ -224,30 +243,6 @@ class Field:
             np.take(values.reshape(size, *shape), order, axis=0, out=self.data, mode="clip")
         self.version += 1
         self._unset = False
-
-
-class WritableView:
-    """What ``field.view(write=True)`` gives: ``with`` it the host owns the field's memory, as a writable array."""
-
-    __slots__ = ("_arrays", "_field")
-
-    def __init__(self, field: Field) -> None:
-        if field.target is not None:
-            raise RelationError(KeysNotWritable(field.path))
-        self._field = field
-        self._arrays: list[Array] = []
-
-    def __enter__(self) -> Array:
-        self._field._open_views += 1
-        self._arrays.append(self._field._shaped())
-        return self._arrays[-1]
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._arrays.pop().flags.writeable = False
-        self._field._open_views -= 1
-        self._field.changed()
 
 
 def _is_function(value: Any) -> bool:

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from ebb.relations.field import Field
     from ebb.relations.relation import Relation
 
-_DIGIT = 16
-
 
 class Grouping:
     """The index of a key field. ``Relation.group_by`` makes them; ``refresh`` makes one valid.
@@ -38,8 +36,6 @@ class Grouping:
         self.offsets: Rows = np.zeros(self.target.size + 1, dtype=np.int64)
         self.rows: Rows | None = None
         self._built: tuple[int, int, int] | None = None
-        if self.orders_storage:
-            field.relation.storage.primary = self
 
     @property
     def stale(self) -> bool:
@@ -55,18 +51,19 @@ class Grouping:
         _settle(self.field.relation)
         _settle(self.target)
         if self.stale:
-            self._build()
+            self.build()
 
     def _state(self) -> tuple[int, int, int]:
         return (self.field.version, self.field.relation.storage.version, self.target.storage.version)
 
-    def _build(self) -> None:
+    def build(self) -> None:
+        """Builds the index, whether or not it is stale; ``refresh`` decides that."""
         relation = self.field.relation
         keys = self.field.data
         if not _sorted(keys, relation.storage.order):
             rank = relation.storage.rank
-            order = sort_order(keys if rank is None else keys[rank], self.target.size)
-            order = order if rank is None else rank[order]
+            # Equal keys stay in the order in which they are given: that of identities.
+            order = np.argsort(keys, kind="stable") if rank is None else rank[np.argsort(keys[rank], kind="stable")]
             if self.orders_storage:
                 relation.permute(order)
                 self.rows = None
@@ -80,20 +77,6 @@ class Grouping:
 
     def __repr__(self) -> str:
         return f"<grouping of {self.field.relation.name} by {self.field.name}>"
-
-
-def sort_order(keys: Array, bound: int) -> Rows:
-    """The stable order that sorts ``keys``, integers from -1 to ``bound - 1``.
-
-    NumPy sorts 16-bit integers by radix and wider ones by comparison; digits of 16 bits, the lowest first, are faster.
-    """
-    digits = max(1, -(-int(bound).bit_length() // _DIGIT))
-    shifted = np.add(keys, 1, dtype=np.int64)
-    order = np.argsort((shifted & 0xFFFF).astype(np.uint16), kind="stable")
-    for digit in range(1, digits):
-        part = ((shifted >> (_DIGIT * digit)) & 0xFFFF).astype(np.uint16)
-        order = order[np.argsort(part[order], kind="stable")]
-    return order
 
 
 def _sorted(keys: Array, identities: Rows | None) -> bool:
@@ -125,4 +108,4 @@ def _settle(relation: Relation) -> None:
         return
     _settle(primary.target)
     if primary.stale:
-        primary._build()
+        primary.build()

@@ -134,17 +134,15 @@ def _floats(array: Array, place: Place, scalar: ScalarType) -> Array:
         lost = np.isinf(result) & ~np.isinf(array.astype(np.longdouble))
         if lost.any():
             index = _first(lost)
-            raise RelationError(
-                ValueOutOfRange(place.name, repr(scalar), _row(index, array, place), _text(array[index]))
-            )
+            raise RelationError(ValueOutOfRange(place.name, repr(scalar), _row(index, array, place), str(array[index])))
     return result
 
 
 def _integers(array: Array, place: Place, scalar: ScalarType) -> Array:
     limits = np.iinfo(scalar.dtype)
     if array.dtype != scalar.dtype and (array.min() < limits.min or array.max() > limits.max):
-        index = _first((array < limits.min) | (array > limits.max))
-        raise RelationError(ValueOutOfRange(place.name, repr(scalar), _row(index, array, place), _text(array[index])))
+        index = _first(np.asarray((array < limits.min) | (array > limits.max)))
+        raise RelationError(ValueOutOfRange(place.name, repr(scalar), _row(index, array, place), str(array[index])))
     return array.astype(scalar.dtype, copy=False)
 
 
@@ -156,10 +154,10 @@ def _keys(array: Array, place: Place, target: Relation) -> Array:
     if kind != "i":
         raise _wrong_kind(array, place, kind)
     extents = np.array(target.shape) if target.is_grid else target.size
-    bad = (array < 0) | (array >= extents)
+    bad = np.asarray((array < 0) | (array >= extents))
     if bad.any():
         index = _first(bad.any(axis=-1) if target.is_grid else bad)
-        shown = _text(tuple(array[index].tolist()) if target.is_grid else array[index])
+        shown = str(tuple(array[index].tolist()) if target.is_grid else array[index])
         raise RelationError(KeyOutOfRange(place.name, _row(index, array, place), shown, target.name, target.shape))
     if target.is_grid:
         rows = np.ravel_multi_index(tuple(np.moveaxis(array.astype(np.int64, copy=False), -1, 0)), target.shape)
@@ -186,7 +184,7 @@ def _wrong_kind(array: Array, place: Place, kind: str) -> RelationError:
         misfits = ~(np.isfinite(array) & (array == np.rint(array)))
         if misfits.any():
             index = _first(misfits)
-            row, shown = _row(index, array, place), _text(array[index])
+            row, shown = _row(index, array, place), str(array[index])
     elif kind == "b":
         hint = "convert them: x.astype(int)"
     elif isinstance(scalar, ScalarType) and scalar.kind is Kind.BOOL and kind in "if":
@@ -203,7 +201,3 @@ def _first(mask: npt.NDArray[np.bool_]) -> tuple[int, ...]:
 def _row(index: tuple[int, ...], array: Array, place: Place) -> Row | None:
     """The row in which ``index`` lies, None in a constant."""
     return index[: len(place.rows)] if place.rows and array.ndim == len(place.full_shape) else None
-
-
-def _text(value: Any) -> str:
-    return str(value.item() if isinstance(value, np.generic) else value)

@@ -27,7 +27,7 @@ from ebb.relations.errors import (
 from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.member import Function, Member
-from ebb.relations.storage import Rows, Storage, inverse
+from ebb.relations.storage import Rows, Storage, inverse, is_permutation
 from ebb.relations.subset import Box, Subset, select
 from ebb.relations.table import table
 from ebb.types.types import KeyType, as_type
@@ -183,9 +183,7 @@ class Relation:
             keys = tuple(name for name, other in self._fields.items() if isinstance(other.type, KeyType))
             raise RelationError(NotGroupable(self.name, field.name, repr(field.type), keys))
         if field.grouping is None:
-            grouping = Grouping(field)
-            grouping.refresh()
-            field.grouping = grouping
+            self._group(field)
 
     # Members and subsets
 
@@ -237,7 +235,7 @@ class Relation:
         moves: Rows = np.asarray(order, dtype=np.int64)
         if self.is_grid:
             raise ValueError(f"{self.name} is a grid, whose rows lie in the order of their indices")
-        if moves.shape != (self.size,) or not np.array_equal(np.sort(moves), np.arange(self.size)):
+        if not is_permutation(moves, self.size):
             raise ValueError(f"no permutation of the {self.size} rows of {self.name}")
         for field in self._fields.values():
             field.check_no_view()
@@ -281,6 +279,19 @@ class Relation:
     def __repr__(self) -> str:
         return table(self.name, self.shape, self.periodic if self.is_grid else None, self._attributes)
 
+    def _group(self, field: Field) -> None:
+        grouping = Grouping(field)
+        primary = self.storage.primary
+        field.grouping = grouping
+        if grouping.orders_storage:
+            self.storage.primary = grouping
+        try:
+            grouping.refresh()
+        except RelationError:
+            field.grouping = None
+            self.storage.primary = primary
+            raise
+
     def _pair(self, action: str, a: str | Field, b: str | Field) -> tuple[Field, Field]:
         left, right = self._own(a), self._own(b)
         left.check_no_view()
@@ -319,7 +330,7 @@ class Relation:
         """What has the name already, in words, or None."""
         match self._attributes.get(name):
             case None:
-                return "built-in attribute" if isinstance(name, str) and hasattr(Relation, name) else None
+                return "built-in attribute" if name in dir(Relation) else None
             case found:
                 return type(found).__name__.lower()
 
@@ -333,8 +344,8 @@ def _checked_name(what: str, name: Any) -> str:
 def _extents(name: str, size: Any, shape: Any) -> tuple[int, ...]:
     if (size is None) == (shape is None):
         raise RelationError(BadExtent(name, "one of size= and shape= is needed"))
-    given = (size,) if shape is None else tuple(shape) if isinstance(shape, Sequence | np.ndarray) else (shape,)
-    found = tuple(_extent(name, extent) for extent in cast("tuple[Any, ...]", given))
+    extents = cast("Sequence[Any]", (size,) if shape is None else shape if np.ndim(shape) else (shape,))
+    found = tuple(_extent(name, extent) for extent in extents)
     if not 1 <= len(found) <= 3:
         raise RelationError(BadExtent(name, f"a grid has one to three dimensions, not {len(found)}"))
     return found

@@ -39,10 +39,6 @@ class Storage:
         self.referrers: WeakSet[Field] = WeakSet()
         self.primary: Grouping | None = None
 
-    def rows_by_identity(self) -> Rows:
-        """The position of each row, in the order of identities."""
-        return np.arange(self.size, dtype=np.int64) if self.rank is None else self.rank
-
     def positions_of(self, identities: Array) -> Array:
         """The positions of the rows with these identities, all in range."""
         return identities if self.rank is None else self.rank[identities]
@@ -58,6 +54,15 @@ class Storage:
         self.order = order.copy() if self.order is None else self.order[order]
         self.rank = inverse(self.order)
         self.version += 1
+
+
+def is_permutation(order: Rows, size: int) -> bool:
+    """Whether ``order`` has each of the numbers from 0 to ``size - 1`` once."""
+    if order.shape != (size,) or ((order < 0) | (order >= size)).any():
+        return False
+    seen = np.zeros(size, dtype=np.bool_)
+    seen[order] = True
+    return bool(seen.all())
 
 
 def inverse(order: Rows) -> Rows:

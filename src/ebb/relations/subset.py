@@ -8,7 +8,6 @@ from math import prod
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.errors import RelationError
 from ebb.relations.errors import BadSubset, SubsetOutOfRange
@@ -144,7 +143,7 @@ def _rows(relation: Relation, path: str, selection: Any) -> tuple[Box, ...] | Ro
         if all(_is_slices(part) for part in parts):
             return _boxes_or_rows(relation, path, parts)
     try:
-        array = np.asarray(selection)
+        array: Array = np.asarray(cast("Any", selection))
     except ValueError:
         raise RelationError(BadSubset(path, "the list is ragged")) from None
     if array.dtype == np.bool_:
@@ -217,7 +216,7 @@ def _is_slices(value: Any) -> TypeGuard[slice | tuple[Any, ...]]:
 
 def _ranges(relation: Relation, path: str, part: slice | tuple[Any, ...]) -> tuple[range, ...]:
     """For each dimension the indices that ``part`` selects, ascending, as a range."""
-    items = list(part) if isinstance(part, tuple) else [part]
+    items: list[Any] = list(part) if isinstance(part, tuple) else [part]
     if items.count(...) > 1:
         raise RelationError(BadSubset(path, "'...' stands twice in one index"))
     if ... not in items:
@@ -242,10 +241,3 @@ def _range(path: str, item: slice | int, extent: int, axis: int, shape: tuple[in
     except (TypeError, ValueError) as error:
         raise RelationError(BadSubset(path, str(error))) from None
     return found[::-1] if found.step < 0 else found
-
-
-def mask_of(rows: Subset) -> npt.NDArray[np.bool_]:
-    """Where the rows of the subset are, as a boolean array of the relation's shape."""
-    mask = np.zeros(rows.relation.size, dtype=np.bool_)
-    mask[rows.identities()] = True
-    return mask.reshape(rows.relation.shape)
