@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from ebb.compiler import kir
 from ebb.compiler.kir import Body, Expr, Stmt
+from ebb.relations.field import Field
 
 
 def children(expr: Expr) -> tuple[Expr, ...]:
@@ -80,6 +81,13 @@ def expressions(body: Body) -> Iterator[Expr]:
     for stmt in statements(body):
         for operand in operands(stmt):
             yield from subexpressions(operand)
+
+
+def queried_fields(kernel: kir.Kernel) -> tuple[Field, ...]:
+    """The grouped key fields whose index the kernel uses, each once, in source order."""
+    loops = (stmt.index for stmt in statements(kernel.body) if isinstance(stmt, kir.ForQuery))
+    sizes = (node.index for node in expressions(kernel.body) if isinstance(node, kir.QuerySize))
+    return tuple(dict.fromkeys((*loops, *sizes)))
 
 
 def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:

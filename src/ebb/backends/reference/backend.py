@@ -1,0 +1,44 @@
+"""The reference interpreter as a backend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ebb.backends.backend import CheckedKernel
+from ebb.backends.reference.interpreter import run
+from ebb.compiler import kir
+from ebb.relations.subset import RowSet
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceExecutable:
+    """A kernel as the interpreter takes it, which is as it is."""
+
+    kernel: kir.Kernel
+
+    def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
+        """Runs the kernel on ``rows``; raises as ``run``."""
+        run(self.kernel, rows, uniforms)
+
+    def inspect(self, stage: str) -> str | None:
+        """None: there is no stage beyond KIR."""
+        del stage
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceBackend:
+    """Runs kernels in plain Python. ``breakpoint()`` works in them."""
+
+    name: str = "reference"
+    stages: tuple[str, ...] = ()
+
+    def prepare(self, checked: CheckedKernel) -> ReferenceExecutable:
+        """The kernel is run as it is."""
+        return ReferenceExecutable(checked.kernel)
+
+
+def reference_backend() -> ReferenceBackend:
+    """The reference backend, which has no options."""
+    return ReferenceBackend()
