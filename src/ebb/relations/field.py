@@ -90,7 +90,7 @@ class Field:
             value: a constant of the type, where one number fills every component; or an array of the shape
                 ``relation.shape + type.shape``; or another field of the relation; or a function that is called once a
                 row with its index, on a grid with its indices. Keys are row numbers, and for a grid index tuples: one
-                more trailing axis of the length ``ndim``.
+                more trailing axis of the length ``ndim``. Keys that are masked (``numpy.ma``) are unset.
 
         Raises:
             RelationError: the value does not fit in shape or kind, a number or key is out of range, or a writable view
@@ -237,12 +237,11 @@ class Field:
         order = self.relation.storage.order
         if values.ndim <= len(shape):
             self.data[...] = values
-        elif order is None:
-            self.data[...] = values.reshape(size, *shape)
         else:
-            np.take(values.reshape(size, *shape), order, axis=0, out=self.data, mode="clip")
+            rows = values.reshape(size, *shape)
+            self.data[...] = rows if order is None else rows[order]
         self.version += 1
-        self._unset = False
+        self._unset = None if self.target is not None else False  # masked keys are unset: see loading
 
 
 def _is_function(value: Any) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,8 @@ from ebb.types.types import KeyType, Kind, ScalarType, Type
 
 if TYPE_CHECKING:
     from ebb.relations.relation import Relation
+
+Masked: TypeAlias = np.ma.MaskedArray[Any, np.dtype[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +74,13 @@ def converted(value: Any, place: Place) -> Array:
 
     Returns:
         An array of the shape ``place.rows + place.type.shape`` in the order of identities, or a constant of the shape
-        ``place.type.shape`` or ``()``.
+        ``place.type.shape`` or ``()``. Keys that are masked, as ``numpy.ma`` has it, are unset: -1.
 
     Raises:
         RelationError: the shape or the kind of the value does not fit, or a number or key is out of range.
     """
+    if isinstance(value, np.ma.MaskedArray):
+        return _masked_keys(cast("Masked", value), place)
     array = _as_array(value, place)
     if all(array.shape != shape for _, shape in place.shapes()):
         raise place.misfit(array.shape)
@@ -156,13 +160,25 @@ def _keys(array: Array, place: Place, target: Relation) -> Array:
     extents = np.array(target.shape) if target.is_grid else target.size
     bad = np.asarray((array < 0) | (array >= extents))
     if bad.any():
-        index = _first(bad.any(axis=-1) if target.is_grid else bad)
+        index = _first(np.asarray(bad.any(axis=-1)) if target.is_grid else bad)
         shown = str(tuple(array[index].tolist()) if target.is_grid else array[index])
         raise RelationError(KeyOutOfRange(place.name, _row(index, array, place), shown, target.name, target.shape))
     if target.is_grid:
         rows = np.ravel_multi_index(tuple(np.moveaxis(array.astype(np.int64, copy=False), -1, 0)), target.shape)
         return np.asarray(rows).astype(place.type.dtype)
-    return target.storage.positions_of(array).astype(place.type.dtype, copy=False)
+    return target.storage.positions_of(array.astype(np.int64, copy=False)).astype(place.type.dtype, copy=False)
+
+
+def _masked_keys(array: Masked, place: Place) -> Array:
+    target = target_of(place.type)
+    if target is None:
+        raise RelationError(WrongKind(place.name, repr(place.type), "masked values, which only keys have", None, None))
+    mask = np.ma.getmaskarray(array)
+    if target.is_grid:
+        mask = mask.any(axis=-1)
+    keys = converted(array.filled(0), place).copy()
+    keys[mask] = -1
+    return keys
 
 
 _KINDS = {"b": "bools", "i": "integers", "f": "floats", "c": "complex numbers", "U": "strings", "S": "bytes"}
