@@ -92,7 +92,13 @@ class CppProgram:
 
         size = ctypes.c_int64(self.size)
         self.library.internal_forces(
-            size, at(self.first), at(self.head), at(self.rest_len), at(self.q), at(self.force), ctypes.c_float(STIFFNESS)
+            size,
+            at(self.first),
+            at(self.head),
+            at(self.rest_len),
+            at(self.q),
+            at(self.force),
+            ctypes.c_float(STIFFNESS),
         )
         self.library.apply_forces(size, at(self.q), at(self.qd), at(self.force), at(self.mass), ctypes.c_float(DT))
 
@@ -143,7 +149,10 @@ def main() -> None:
     base = statistics.median(theirs)
     for name, times in rows.items():
         median = statistics.median(times)
-        print(f"{name:40} {median * 1e3:10.3f} ms  [{min(times) * 1e3:.3f}, {max(times) * 1e3:.3f}]  {median / base:8.2f} x C++")
+        print(
+            f"{name:40} {median * 1e3:10.3f} ms  [{min(times) * 1e3:.3f}, {max(times) * 1e3:.3f}]"
+            f"  {median / base:8.2f} x C++"
+        )
     if options.json:
         options.json.write_text(json.dumps({name: times for name, times in rows.items()}, indent=1))
 

@@ -1,8 +1,8 @@
 """``@ebb.kernel`` and ``@ebb.func``: from a decorated function to a launch.
 
 Three lifetimes, three objects. A ``Kernel`` is the body: the decorated function. A ``Specialisation`` is what became of
-it for one relation and one set of parameter types: KIR, phases, executables. A ``Launch`` is a specialisation on one set
-of rows, checked once: what a repeated launch runs.
+it for one relation and one set of parameter types: KIR, phases, executables. A ``Launch`` is a specialisation on one
+set of rows, checked once: what a repeated launch runs.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from ebb.compiler.phases.stencil import check_stencil, collect_stencil
 from ebb.compiler.pipeline import run_passes
 from ebb.errors import EbbError, KernelTypeError, trimmed
 from ebb.relations.field import Field
+from ebb.relations.grouping import Grouping
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
 
@@ -72,7 +73,7 @@ class Launch:
         """Runs the kernel once, on the current backend."""
         specialisation = self.specialisation
         for index in specialisation.indexes:
-            index.valid_grouping().refresh()
+            _index_of(index).refresh()
         for used in specialisation.used:
             used.check_no_view()
         kernel = specialisation.checked.kernel
@@ -88,8 +89,8 @@ class Launch:
 class Kernel:
     """A function over the rows of a relation, made by ``@ebb.kernel``. Calling it launches it.
 
-    A kernel is checked and compiled at its first launch on a relation, or by ``check``; all of its errors are reported at
-    once. A launch runs the function for every row of a relation or subset, in any order, as if at the same time.
+    A kernel is checked and compiled at its first launch on a relation, or by ``check``; all of its errors are reported
+    at once. A launch runs the function for every row of a relation or subset, in any order, as if at the same time.
     """
 
     def __init__(
@@ -158,7 +159,7 @@ class Kernel:
         if stage == "kir":
             return kir_print.text(launch.specialisation.checked.kernel)
         for index in launch.specialisation.indexes:
-            index.valid_grouping().refresh()
+            _index_of(index).refresh()
         backend = current_backend()
         text = launch.specialisation.executable(backend).inspect(stage)
         if text is None:
@@ -198,7 +199,8 @@ class Kernel:
 
     def _types(self, arguments: tuple[Any, ...]) -> _Types:
         """The type of each further parameter: the declared one, else that of its argument."""
-        return tuple([self._type(name, declared, value) for (name, declared), value in zip(self._declared, arguments)])
+        pairs = zip(self._declared, arguments, strict=True)
+        return tuple([self._type(name, declared, value) for (name, declared), value in pairs])
 
     def _type(self, name: str, declared: ParameterType | type[str] | None, value: Any) -> ParameterType:
         if declared is str or (declared is None and isinstance(value, str)):
@@ -235,12 +237,12 @@ class Kernel:
         for specialisation in known:
             if specialisation.holds(arguments):
                 return specialisation
-        specialisation = self._specialise(relation, types, arguments)
+        specialisation = self._specialise(relation, types)
         known.append(specialisation)
         return specialisation
 
-    def _specialise(self, relation: Relation, types: _Types, arguments: tuple[Any, ...]) -> Specialisation:
-        elaborated = elaborate(self.source, relation, types, arguments)
+    def _specialise(self, relation: Relation, types: _Types) -> Specialisation:
+        elaborated = elaborate(self.source, relation, types)
         phases = check_phases(elaborated.kernel)
         kernel = run_passes(elaborated.kernel)
         checked = CheckedKernel(kernel, phases, collect_stencil(kernel), self._hints)
@@ -249,7 +251,7 @@ class Kernel:
             elaborated.guards,
             indexes=tuple(kir_walk.queried_fields(kernel)),
             used=tuple(phases.fields),
-            written=tuple(f for f, phase in phases.fields.items() if phase.written or phase.reduced),
+            written=tuple(f for f, phase in phases.fields.items() if phase.changed),
         )
 
 
@@ -307,3 +309,8 @@ def _enclosing_locals(frame: FrameType) -> Mapping[str, Any] | None:
     Annotations that are kept as text (PEP 563) may name locals of that function which the closure does not hold.
     """
     return None if frame.f_locals is frame.f_globals else dict(frame.f_locals)
+
+
+def _index_of(field: Field) -> Grouping:
+    assert field.grouping is not None, f"{field.path} is queried, so that it is grouped"
+    return field.grouping

@@ -54,7 +54,9 @@ class Backend(Protocol):
     """A way to run kernels, chosen by ``ebb.set_backend``."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """What ``ebb.set_backend`` calls it."""
+        ...
 
     @property
     def stages(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,11 +28,8 @@ def argument_type(value: Any) -> Type | None:
             return int32 if value in _INT32 else int64 if value in _INT64 else None
         case float():
             return float64
-        case np.generic() | np.ndarray():
-            scalar = from_dtype(value.dtype)
-            return shaped_type(scalar, value.shape) if scalar is not None and value.ndim <= 2 else None
-        case list() | tuple():
-            return _sequence_type(np.asarray(value))
+        case np.generic() | np.ndarray() | list() | tuple():
+            return _array_type(np.asarray(cast("Any", value)), narrow=isinstance(value, list | tuple))
         case _:
             return None
 
@@ -67,11 +64,12 @@ def uniform_values(kernel: str, uniforms: tuple[HostValue, ...], parameters: tup
 _ACCEPTED = {Kind.BOOL: "b", Kind.SIGNED: "iu", Kind.UNSIGNED: "iu", Kind.FLOAT: "iuf"}
 
 
-def _sequence_type(array: np.ndarray[Any, Any]) -> Type | None:
+def _array_type(array: np.ndarray[Any, Any], narrow: bool) -> Type | None:
+    """The type of an array; ``narrow`` gives the Python integers of a list int32 where they fit."""
     scalar = from_dtype(array.dtype)
-    if scalar == int64 and _in_range(array, int32):
+    if narrow and scalar == int64 and _in_range(array, int32):
         scalar = int32
-    return shaped_type(scalar, array.shape) if scalar is not None and 1 <= array.ndim <= 2 else None
+    return shaped_type(scalar, array.shape) if scalar is not None and array.ndim <= 2 and array.size else None
 
 
 def _in_range(array: np.ndarray[Any, Any], scalar: ScalarType) -> bool:
