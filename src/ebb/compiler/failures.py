@@ -128,7 +128,7 @@ class UnsetKey(Failure):
 
     @property
     def title(self) -> str:
-        return f"kernel '{self.kernel}', row {self.row}, reads the key '{self.field}' of {self.holder}, which is not set"
+        return f"kernel '{self.kernel}', row {self.row}, reads '{self.field}' of {self.holder}, which is not set"
 
     @property
     def primary(self) -> Label:
