@@ -19,7 +19,6 @@ from typing import TypeVar
 from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.diagnostics.render import render_all
 
-
 E = TypeVar("E", bound=BaseException)
 
 

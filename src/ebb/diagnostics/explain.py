@@ -1,4 +1,4 @@
-"""The pages of the error codes, which ``ebb explain`` prints: what the error means, a wrong program and the right one."""
+"""The pages of the error codes: what the error means, a wrong program and the right one. For ``ebb explain``."""
 
 from __future__ import annotations
 
