@@ -1,0 +1,1 @@
+"""Mesh files: OFF and VEG natively, everything else through meshio."""

@@ -1,0 +1,164 @@
+"""What every mesh is checked for before it becomes relations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ebb.domains.io.data import Floats, Integers, MeshData, Origin
+from ebb.domains.io.errors import (
+    DegenerateElement,
+    InconsistentOrientation,
+    IndexOutOfRange,
+    InvertedElement,
+    NonManifold,
+    NotFinite,
+    WrongArray,
+)
+from ebb.domains.topology import faces_of_tetrahedra
+from ebb.errors import MeshFormatError
+
+# An element counts as degenerate when its volume (area) is below this share of the cube (square) of its longest
+# edge: there, double precision no longer tells its sign.
+_FLAT = 1e-14
+
+
+def mesh_data(points: Any, cells: Any, corners: int, cell: str) -> MeshData:
+    """The arrays of a mesh, as copies of the right types.
+
+    Raises:
+        MeshFormatError: wrong shapes, coordinates that are no numbers, or indices that are no integers (E712).
+    """
+    return MeshData(_points(points), _cells(cells, corners, cell))
+
+
+def check_rows(mesh: MeshData, cell: str) -> None:
+    """Check that the coordinates are finite and that the corners are points.
+
+    Raises:
+        MeshFormatError: E705, E706.
+    """
+    finite = np.isfinite(mesh.points).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise MeshFormatError(NotFinite("point", row, mesh.origin, tuple(mesh.points[row].tolist())))
+    bad = (mesh.cells < 0) | (mesh.cells >= len(mesh.points))
+    if bad.any():
+        row = int(np.argmax(bad.any(axis=1)))
+        index = int(mesh.cells[row, np.argmax(bad[row])])
+        raise MeshFormatError(IndexOutOfRange(cell, row, mesh.origin, index, len(mesh.points)))
+
+
+def check_triangles(mesh: MeshData, manifold: bool = True) -> None:
+    """Check that the triangles have areas and, if ``manifold``, that at most two meet at an edge and turn the same way.
+
+    Raises:
+        MeshFormatError: E705 to E707, E709, E710.
+    """
+    check_rows(mesh, "triangle")
+    a, b, c = (mesh.points[mesh.cells[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    _check_flat(mesh, "triangle", "area", area <= _FLAT * _longest_edge(mesh) ** 2)
+    if manifold:
+        _check_surface(mesh.cells, max(len(mesh.points), 1), mesh.origin)
+
+
+def check_tetrahedra(mesh: MeshData, fix_orientation: bool) -> tuple[MeshData, Integers]:
+    """Check that the tetrahedra have positive volumes and that at most two meet at a face.
+
+    Returns:
+        The mesh, in which inverted elements are turned if ``fix_orientation``, and its boundary triangles.
+
+    Raises:
+        MeshFormatError: E705 to E709.
+    """
+    check_rows(mesh, "tetrahedron")
+    volume = tet_volumes(mesh.points, mesh.cells)
+    _check_flat(mesh, "tetrahedron", "volume", np.abs(volume) <= _FLAT * _longest_edge(mesh) ** 3)
+    inverted = np.flatnonzero(volume < 0)
+    if inverted.size and not fix_orientation:
+        row = int(inverted[0])
+        corners = tuple(mesh.cells[row].tolist())
+        raise MeshFormatError(
+            InvertedElement(
+                "tetrahedron", row, mesh.origin, corners, float(volume[row]), len(inverted), len(mesh.cells)
+            )
+        )
+    if inverted.size:
+        cells = mesh.cells.copy()
+        cells[inverted, 2], cells[inverted, 3] = mesh.cells[inverted, 3], mesh.cells[inverted, 2]
+        mesh = replace(mesh, cells=cells)
+    faces = faces_of_tetrahedra(mesh.cells, max(len(mesh.points), 1))
+    if faces.crowded is not None:
+        points, row, count = faces.crowded
+        raise MeshFormatError(NonManifold("tetrahedron", row, mesh.origin, points, count, "two"))
+    return mesh, faces.boundary
+
+
+def tet_volumes(points: Floats, cells: Integers) -> Floats:
+    """The signed volumes of tetrahedra: positive where corners 1, 2, 3 turn left as seen from corner 0."""
+    a, b, c, d = (points[cells[:, i]] for i in range(4))
+    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+
+def _check_surface(triangles: Integers, n: int, origin: Origin | None) -> None:
+    tail = triangles.ravel()
+    head = np.roll(triangles, -1, axis=1).ravel()
+    code = np.minimum(tail, head) * n + np.maximum(tail, head)
+    order = np.argsort(code, kind="stable")
+    starts = np.flatnonzero(np.diff(code[order], prepend=-1))
+    counts = np.diff(starts, append=len(code))
+    crowded = np.flatnonzero(counts > 2)
+    if crowded.size:
+        first = order[starts[crowded[0]]]
+        shared = (int(tail[first]), int(head[first]))
+        count = int(counts[crowded[0]])
+        raise MeshFormatError(NonManifold("triangle", int(first) // 3, origin, shared, count, "one or two"))
+    pairs = starts[counts == 2]
+    one, other = order[pairs], order[pairs + 1]
+    same = np.flatnonzero(tail[one] == tail[other])
+    if same.size:
+        i, j = int(one[same[0]]), int(other[same[0]])
+        edge = (int(tail[i]), int(head[i]))
+        raise MeshFormatError(InconsistentOrientation("triangle", j // 3, origin, i // 3, edge))
+
+
+def _check_flat(mesh: MeshData, cell: str, measure: str, flat: np.ndarray[Any, Any]) -> None:
+    if flat.any():
+        row = int(np.argmax(flat))
+        corners = tuple(mesh.cells[row].tolist())
+        raise MeshFormatError(DegenerateElement(cell, row, mesh.origin, corners, measure))
+
+
+def _longest_edge(mesh: MeshData) -> Floats:
+    corners = mesh.cells.shape[1]
+    longest = np.zeros(len(mesh.cells))
+    for i in range(corners):
+        for j in range(i):
+            edge = mesh.points[mesh.cells[:, i]] - mesh.points[mesh.cells[:, j]]
+            np.maximum(longest, np.einsum("ij,ij->i", edge, edge), out=longest)
+    return np.sqrt(longest)
+
+
+def _points(points: Any) -> Floats:
+    array = np.asarray(points)
+    if array.size == 0 and array.ndim <= 2:
+        return np.empty((0, 3))
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iuf":
+        raise MeshFormatError(WrongArray("positions", "numbers of the shape (n, 3)", _describe(array)))
+    return np.array(array, dtype=np.float64, order="C")
+
+
+def _cells(cells: Any, corners: int, cell: str) -> Integers:
+    array = np.asarray(cells)
+    if array.size == 0 and array.ndim <= 2:
+        return np.empty((0, corners), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != corners or array.dtype.kind not in "iu":
+        raise MeshFormatError(WrongArray(cell, f"integers of the shape (n, {corners})", _describe(array)))
+    return np.array(array, dtype=np.int64, order="C")
+
+
+def _describe(array: np.ndarray[Any, Any]) -> str:
+    return f"{array.dtype} of the shape {array.shape}"

@@ -1,0 +1,284 @@
+"""What can be wrong with a mesh or its file: the kinds of ``MeshFormatError`` (E7xx)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ebb.diagnostics.diagnostic import Diagnostic, Label
+from ebb.diagnostics.span import Span
+from ebb.domains.io.data import Origin
+
+_ANYHOW = "repair the mesh, for example with pymeshfix, or pass `manifold=False` to take it as it is"
+
+
+@dataclass(frozen=True)
+class UnreadableFile(Diagnostic):
+    """The file is missing, a directory, or may not be read or written."""
+
+    code: ClassVar[str] = "E701"
+    path: str
+    reason: str
+
+    @property
+    def title(self) -> str:
+        return f"the mesh file {self.path!r} cannot be opened: {self.reason}"
+
+
+@dataclass(frozen=True)
+class UnknownFormat(Diagnostic):
+    """No reader or writer takes the file, or it holds no cells of the kind that is asked for."""
+
+    code: ClassVar[str] = "E702"
+    path: str
+    reason: str
+
+    @property
+    def title(self) -> str:
+        return f"{self.path!r} holds no mesh that can be used here: {self.reason}"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("OFF and VEG are read natively; for the other formats, see `meshio --help`",)
+
+
+@dataclass(frozen=True)
+class MalformedLine(Diagnostic):
+    """A line is not what the format has at this place."""
+
+    code: ClassVar[str] = "E703"
+    span: Span
+    expected: str
+
+    @property
+    def title(self) -> str:
+        return f"{_place(self.span)}: expected {self.expected}"
+
+    @property
+    def primary(self) -> Label | None:
+        return Label(self.span, f"expected {self.expected}")
+
+
+@dataclass(frozen=True)
+class TruncatedFile(Diagnostic):
+    """The file ends before everything that its counts announce."""
+
+    code: ClassVar[str] = "E704"
+    span: Span
+    what: str
+    announced: int
+    found: int
+
+    @property
+    def title(self) -> str:
+        return f"{_place(self.span)}: {self.announced} {self.what} are announced, but only {self.found} follow"
+
+    @property
+    def primary(self) -> Label | None:
+        return Label(self.span, "the last line of what there is")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("the file is cut short, or its counts are wrong",)
+
+
+@dataclass(frozen=True)
+class BadElement(Diagnostic):
+    """The base of the errors that name one row of the points or cells, and its line where there is one."""
+
+    kind: str
+    row: int
+    origin: Origin | None
+
+    @property
+    def span(self) -> Span | None:
+        if self.origin is None:
+            return None
+        return self.origin.point(self.row) if self.kind == "point" else self.origin.cell(self.row)
+
+    @property
+    def complaint(self) -> str:
+        raise NotImplementedError
+
+    @property
+    def title(self) -> str:
+        span = self.span
+        if span is not None:
+            return f"{_place(span)}: {self.kind} {self.row} {self.complaint}"
+        where = "" if self.origin is None else f"{self.origin.source.filename}: "
+        return f"{where}{self.kind} {self.row} {self.complaint}"
+
+    @property
+    def primary(self) -> Label | None:
+        span = self.span
+        return None if span is None else Label(span, self.complaint)
+
+
+@dataclass(frozen=True)
+class IndexOutOfRange(BadElement):
+    """A cell has a corner that is no point."""
+
+    code: ClassVar[str] = "E705"
+    index: int
+    size: int
+    base: int = 0
+
+    @property
+    def complaint(self) -> str:
+        last = self.size - 1 + self.base
+        known = f"the points are numbered from {self.base} to {last}" if self.size else "there are no points"
+        return f"has the corner {self.index}, but {known}"
+
+
+@dataclass(frozen=True)
+class NotFinite(BadElement):
+    """A coordinate is NaN or infinite."""
+
+    code: ClassVar[str] = "E706"
+    coordinates: tuple[float, ...]
+
+    @property
+    def complaint(self) -> str:
+        return f"has a coordinate that is not finite: {self.coordinates}"
+
+
+@dataclass(frozen=True)
+class DegenerateElement(BadElement):
+    """A cell has no area or no volume."""
+
+    code: ClassVar[str] = "E707"
+    corners: tuple[int, ...]
+    measure: str
+
+    @property
+    def complaint(self) -> str:
+        repeated = len(set(self.corners)) < len(self.corners)
+        reason = "it names one point twice" if repeated else "its points lie in a line or a plane"
+        return f"with the corners {self.corners} has no {self.measure}: {reason}"
+
+
+@dataclass(frozen=True)
+class InvertedElement(BadElement):
+    """A tetrahedron has its corners in the order that gives a negative volume."""
+
+    code: ClassVar[str] = "E708"
+    corners: tuple[int, ...]
+    volume: float
+    count: int
+    total: int
+
+    @property
+    def complaint(self) -> str:
+        return f"with the corners {self.corners} is inverted: its volume is {self.volume:.3g}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (f"{self.count} of the {self.total} elements are inverted",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("pass `fix_orientation=True` to exchange two corners of each inverted element",)
+
+
+@dataclass(frozen=True)
+class NonManifold(BadElement):
+    """More cells meet at an edge or a face than a surface or a solid can have there."""
+
+    code: ClassVar[str] = "E709"
+    shared: tuple[int, ...]
+    count: int
+    limit: str
+
+    @property
+    def complaint(self) -> str:
+        what = "edge" if len(self.shared) == 2 else "face"
+        return f"is one of {self.count} at the {what} of the points {self.shared}, where {self.limit} may meet"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (_ANYHOW,) if self.kind == "triangle" else ()
+
+
+@dataclass(frozen=True)
+class InconsistentOrientation(BadElement):
+    """Two neighbouring triangles have their corners in opposite senses, or one triangle occurs twice."""
+
+    code: ClassVar[str] = "E710"
+    other: int
+    edge: tuple[int, int]
+
+    @property
+    def complaint(self) -> str:
+        return f"and triangle {self.other} both run along the edge of the points {self.edge} in the same direction"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("the triangles of a surface all turn the same way, so that neighbours run along their edge oppositely",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (_ANYHOW,)
+
+
+@dataclass(frozen=True)
+class OpenSurface(Diagnostic):
+    """A surface that should enclose a volume has a boundary."""
+
+    code: ClassVar[str] = "E711"
+    edges: int
+    first: tuple[int, int]
+
+    @property
+    def title(self) -> str:
+        return f"the surface is not closed: {self.edges} edges, the first of the points {self.first}, have one triangle"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("close it first, for example with `pymeshfix.MeshFix(points, triangles).repair()`",)
+
+
+@dataclass(frozen=True)
+class WrongArray(Diagnostic):
+    """An array of points or cells has the wrong shape or kind of numbers."""
+
+    code: ClassVar[str] = "E712"
+    name: str
+    expected: str
+    found: str
+
+    @property
+    def title(self) -> str:
+        return f"{self.name} should be {self.expected}, not {self.found}"
+
+
+@dataclass(frozen=True)
+class MissingMeshio(Diagnostic):
+    """The format is one of meshio's, and meshio is not installed. Raised as a ``BackendError``."""
+
+    code: ClassVar[str] = "E713"
+    path: str
+
+    @property
+    def title(self) -> str:
+        return f"{self.path!r} needs the package meshio, which is not installed"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ('pip install "ebblang[mesh]"',)
+
+
+@dataclass(frozen=True)
+class Unsavable(Diagnostic):
+    """The file format, or a mesh, has no place for a field that is to be saved."""
+
+    code: ClassVar[str] = "E714"
+    path: str
+    reason: str
+
+    @property
+    def title(self) -> str:
+        return f"cannot save {self.path!r}: {self.reason}"
+
+
+def _place(span: Span) -> str:
+    return f"{span.source.filename}, line {span.line}"

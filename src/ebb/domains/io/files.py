@@ -1,0 +1,118 @@
+"""Reading and writing a mesh in the format that the suffix of its file names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ebb
+from ebb.domains.io.data import MeshData
+from ebb.domains.io.errors import UnknownFormat, Unsavable
+from ebb.domains.io.meshio import read_meshio, write_meshio
+from ebb.domains.io.off import read_off, write_off
+from ebb.domains.io.veg import read_veg, write_veg
+from ebb.errors import MeshFormatError
+
+
+def read_triangles(path: str | PathLike[str]) -> MeshData:
+    """The triangles of an OFF file, or of any format of meshio's.
+
+    Raises:
+        MeshFormatError: the file cannot be read, is malformed, or holds no triangles.
+        BackendError: the format is one of meshio's, and meshio is not installed.
+    """
+    match Path(path).suffix.lower():
+        case ".off":
+            return read_off(path)
+        case ".veg":
+            raise MeshFormatError(UnknownFormat(str(path), "VEG files hold tetrahedra: load it with TetMesh.load"))
+        case _:
+            return read_meshio(path, "triangle")
+
+
+def read_tetrahedra(path: str | PathLike[str]) -> MeshData:
+    """The tetrahedra of a VEG file, or of any format of meshio's.
+
+    Raises:
+        MeshFormatError: the file cannot be read, is malformed, or holds no tetrahedra.
+        BackendError: the format is one of meshio's, and meshio is not installed.
+    """
+    match Path(path).suffix.lower():
+        case ".veg":
+            return read_veg(path)
+        case ".off":
+            reason = "OFF files hold surfaces: load it with TriMesh.load, and fill it with TetMesh.from_surface"
+            raise MeshFormatError(UnknownFormat(str(path), reason))
+        case _:
+            return read_meshio(path, "tetra")
+
+
+def write_mesh(
+    path: str | PathLike[str],
+    mesh: MeshData,
+    vertices: ebb.Relation,
+    cells: ebb.Relation,
+    positions: str | ebb.Field | None,
+    fields: Iterable[str | ebb.Field],
+) -> None:
+    """Write the cells of ``mesh`` at ``positions``, a field of the vertices, with the values of ``fields``.
+
+    OFF (triangles) and VEG (tetrahedra) are written natively and hold no fields; the others are meshio's.
+
+    Raises:
+        MeshFormatError: the file cannot be written, or its format or the mesh has no place for a field.
+        BackendError: the format is one of meshio's, and meshio is not installed.
+    """
+    name = str(path)
+    place = _own_field(name, vertices, cells, "pos" if positions is None else positions)
+    if place.relation is not vertices or place.type.shape != (3,):
+        raise MeshFormatError(Unsavable(name, f"{place.relation.name}.{place.name} is no vector of 3 at each vertex"))
+    points = place.to_numpy().astype(np.float64)
+    chosen = [_own_field(name, vertices, cells, field) for field in fields]
+    data = {relation: {f.name: _values(f) for f in chosen if f.relation is relation} for relation in (vertices, cells)}
+    _write(name, replace(mesh, points=points), data[vertices], data[cells])
+
+
+def _write(name: str, mesh: MeshData, point_data: Mapping[str, Any], cell_data: Mapping[str, Any]) -> None:
+    kind = {3: "triangle", 4: "tetra"}[mesh.cells.shape[1]]
+    suffix = Path(name).suffix.lower()
+    if suffix not in (".off", ".veg"):
+        return write_meshio(name, mesh.points, kind, mesh.cells, point_data, cell_data)
+    if point_data or cell_data:
+        raise MeshFormatError(Unsavable(name, f"{suffix} files hold no fields; .vtu files do"))
+    match suffix, kind:
+        case ".off", "triangle":
+            return write_off(name, mesh.points, mesh.cells)
+        case ".veg", "tetra":
+            return write_veg(name, mesh)
+        case _:
+            raise MeshFormatError(Unsavable(name, f"{suffix} files do not hold cells of the type {kind!r}"))
+
+
+def _own_field(path: str, vertices: ebb.Relation, cells: ebb.Relation, field: str | ebb.Field) -> ebb.Field:
+    """The field of the vertices or cells that is meant; a name is one of the vertices' fields."""
+    if isinstance(field, str):
+        found = vertices.fields.get(field)
+        if found is not None:
+            return found
+        close = get_close_matches(field, vertices.fields, n=1)
+        nearest = f"; did you mean {close[0]!r}?" if close else ""
+        raise MeshFormatError(Unsavable(path, f"{vertices.name} has no field {field!r}{nearest}"))
+    if field.relation is vertices or field.relation is cells:
+        return field
+    reason = f"the field {field.relation.name}.{field.name} is none of {vertices.name} or {cells.name} of this mesh"
+    raise MeshFormatError(Unsavable(path, reason))
+
+
+def _values(field: ebb.Field) -> Any:
+    """The values as the formats take them: bools as bytes, matrices as long vectors."""
+    values = field.to_numpy()
+    if values.dtype == np.bool_:
+        values = values.astype(np.uint8)
+    return values.reshape(len(values), -1) if values.ndim > 2 else values

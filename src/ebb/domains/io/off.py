@@ -1,0 +1,74 @@
+"""OFF, the Object File Format of Geomview: a surface as points and polygons, in text.
+
+Source: Geomview manual, section "OFF Files". Normals and colours (``NOFF``, ``COFF``, face colours) are skipped.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from ebb.domains.io.data import Floats, Integers, MeshData, Origin
+from ebb.domains.io.errors import UnreadableFile
+from ebb.domains.io.text import Lines
+from ebb.errors import MeshFormatError
+
+_HEADERS = ("OFF", "COFF", "NOFF", "CNOFF", "STOFF", "STCOFF", "STNOFF", "STCNOFF")
+_COUNTS = "the numbers of points, faces and edges"
+
+
+def read_off(path: str | PathLike[str]) -> MeshData:
+    """The points and triangles of an OFF file.
+
+    Raises:
+        MeshFormatError: the file cannot be read, is malformed, cut short, or has faces that are no triangles.
+    """
+    lines = Lines(path)
+    keyword, _, rest = lines.take("the keyword OFF").partition(" ")
+    if keyword not in _HEADERS:
+        raise lines.malformed("the keyword OFF", 0)
+    n_points, n_faces, *_ = lines.take_counts(2, _COUNTS, rest.strip() or None)
+    start = lines.position
+    points = lines.take_floats(n_points, 3, "points")
+    faces = _take_triangles(lines, n_faces)
+    if not lines.at_end:
+        raise lines.malformed(f"no more lines after the {n_faces} faces that are announced", lines.position)
+    middle = start + n_points
+    origin = Origin(lines.source, lines.numbers[start:middle], lines.numbers[middle : middle + n_faces])
+    return MeshData(points, faces, origin)
+
+
+def write_off(path: str | PathLike[str], points: Floats, triangles: Integers) -> None:
+    """Write a surface of triangles; coordinates keep all their digits.
+
+    Raises:
+        MeshFormatError: the file cannot be written (E701).
+    """
+    text = [f"OFF\n{len(points)} {len(triangles)} 0"]
+    text += [" ".join(map(repr, row)) for row in points.tolist()]
+    text += [f"3 {i} {j} {k}" for i, j, k in triangles.tolist()]
+    write_text(path, text)
+
+
+def write_text(path: str | PathLike[str], lines: list[str]) -> None:
+    """Write the lines, and say it as a mesh error where that fails.
+
+    Raises:
+        MeshFormatError: the file cannot be written (E701).
+    """
+    try:
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise MeshFormatError(UnreadableFile(str(path), error.strerror or type(error).__name__)) from None
+
+
+def _take_triangles(lines: Lines, count: int) -> Integers:
+    first = lines.position
+    corners = lines.take_integers(count, 1, "faces")[:, 0]
+    others = np.flatnonzero(corners != 3)
+    if others.size:
+        raise lines.malformed("a triangle, 3 and three point numbers", first + int(others[0]))
+    lines.position = first
+    return lines.take_integers(count, 4, "faces")[:, 1:]

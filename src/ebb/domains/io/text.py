@@ -1,0 +1,139 @@
+"""Lines of a text file with their numbers, and blocks of numbers read from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from ebb.diagnostics.span import Source, Span
+from ebb.domains.io.data import Floats, Integers, line_span
+from ebb.domains.io.errors import MalformedLine, TruncatedFile, UnreadableFile
+from ebb.errors import MeshFormatError
+
+
+class Lines:
+    """A cursor over the lines of a file that hold something: comments (``#``) and blank lines are left out.
+
+    Raises:
+        MeshFormatError: the file cannot be read (E701).
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.source = Source(str(path), _read(path))
+        self.texts: list[str] = []
+        self.numbers: list[int] = []
+        for number, line in enumerate(self.source.text.splitlines(), start=1):
+            text = line.partition("#")[0].strip()
+            if text:
+                self.texts.append(text)
+                self.numbers.append(number)
+        self.position = 0
+
+    @property
+    def at_end(self) -> bool:
+        """Whether every line has been taken."""
+        return self.position >= len(self.texts)
+
+    @property
+    def peek(self) -> str:
+        """The next line, empty at the end."""
+        return "" if self.at_end else self.texts[self.position]
+
+    def take(self, expected: str) -> str:
+        """The next line.
+
+        Raises:
+            MeshFormatError: there is none (E703).
+        """
+        if self.at_end:
+            raise self.malformed(expected, self.position - 1)
+        self.position += 1
+        return self.texts[self.position - 1]
+
+    def malformed(self, expected: str, index: int | None = None) -> MeshFormatError:
+        """The error that ``index``, by default the line taken last, is not ``expected``."""
+        return MeshFormatError(MalformedLine(self.span(self.position - 1 if index is None else index), expected))
+
+    def span(self, index: int) -> Span:
+        """Where the line ``index``, counted without comments and blank lines, stands in the file."""
+        number = self.numbers[index] if 0 <= index < len(self.numbers) else 1
+        return line_span(self.source, number)
+
+    def take_counts(self, least: int, expected: str, text: str | None = None) -> list[int]:
+        """The integers >= 0 of the next line, or of ``text``, at least ``least`` of them.
+
+        Raises:
+            MeshFormatError: the line holds something else (E703).
+        """
+        words = (self.take(expected) if text is None else text).split()
+        counts = [_as_integer(word) for word in words]
+        if len(counts) < least or any(count is None or count < 0 for count in counts):
+            raise self.malformed(expected)
+        return [count for count in counts if count is not None]
+
+    def take_floats(self, count: int, columns: int, what: str) -> Floats:
+        """The first ``columns`` numbers of each of the next ``count`` lines, as float64 of shape (count, columns).
+
+        Raises:
+            MeshFormatError: the file ends before (E704), or a line is not numbers (E703).
+        """
+        return self._take_block(count, columns, what, np.float64, _as_float)
+
+    def take_integers(self, count: int, columns: int, what: str) -> Integers:
+        """The first ``columns`` integers of each of the next ``count`` lines, as int64 of shape (count, columns).
+
+        Raises:
+            MeshFormatError: the file ends before (E704), or a line is not integers (E703).
+        """
+        return self._take_block(count, columns, what, np.int64, _as_integer)
+
+    def _take_block(self, count: int, columns: int, what: str, dtype: type, convert: Callable[[str], Any]) -> Any:
+        start, stop = self.position, self.position + count
+        if stop > len(self.texts):
+            found = len(self.texts) - start
+            raise MeshFormatError(TruncatedFile(self.span(len(self.texts) - 1), what, count, found))
+        self.position = stop
+        if count == 0:
+            return np.zeros((0, columns), dtype=np.dtype(dtype))
+        block = self.texts[start:stop]
+        try:
+            return cast(Any, np.loadtxt)(block, dtype=dtype, comments=None, usecols=range(columns), ndmin=2)
+        except ValueError:
+            kind = "integers" if dtype is np.int64 else "numbers"
+            raise self.malformed(f"{columns} {kind}", start + _first_bad(block, columns, convert)) from None
+
+
+def _first_bad(block: list[str], columns: int, convert: Callable[[str], Any]) -> int:
+    """The first line that has fewer than ``columns`` words, or one that is no number."""
+    for index, line in enumerate(block):
+        words = line.split()[:columns]
+        if len(words) < columns or any(convert(word) is None for word in words):
+            return index
+    return 0
+
+
+def _as_integer(word: str) -> int | None:
+    digits = word.removeprefix("-").removeprefix("+")
+    if not (digits.isascii() and digits.isdigit()) or len(digits) > 18:
+        return None
+    return int(word)
+
+
+def _as_float(word: str) -> float | None:
+    try:
+        return None if "_" in word else float(word)
+    except ValueError:
+        return None
+
+
+def _read(path: str | PathLike[str]) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise MeshFormatError(UnreadableFile(str(path), error.strerror or type(error).__name__)) from None
+    except ValueError as error:
+        raise MeshFormatError(UnreadableFile(str(path), str(error))) from None

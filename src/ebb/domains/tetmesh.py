@@ -1,0 +1,212 @@
+"""Solids of tetrahedra as relations: vertices, directed edges, tetrahedra, and the triangles of the boundary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import ebb
+from ebb.domains import generators
+from ebb.domains.checks import check_rows, check_tetrahedra, mesh_data, tet_volumes
+from ebb.domains.embedding import embed_points
+from ebb.domains.io.data import Floats, Integers, Material, MeshData, Region
+from ebb.domains.io.errors import WrongArray
+from ebb.domains.io.files import read_tetrahedra, write_mesh
+from ebb.domains.lattice import fill_surface
+from ebb.domains.topology import directed_edges
+from ebb.domains.trimesh import TriMesh, add_vertex_members, corner_relation
+from ebb.errors import MeshFormatError
+
+
+class TetMesh:
+    """A solid of tetrahedra of positive volume, that is, whose corners 1, 2, 3 turn left as seen from corner 0.
+
+    Make one by ``from_arrays``, ``load``, ``from_surface`` or a generator. In kernels, for a vertex ``v``: ``v.edges``
+    are the edges that start there, ``v.neighbors`` the vertices at their other ends, ``v.tetrahedra`` the tetrahedra
+    that have it as a corner. With ``self_edges=True`` each vertex has also an edge to itself, ``v.diag``, which is one
+    of ``v.edges`` (and the vertex one of its neighbors): then edges are the entries of a sparse symmetric matrix.
+
+    Attributes:
+        vertices: ``pos`` (vec3d), and with self edges ``diag`` (an edge).
+        edges: each edge in both directions: ``tail`` and ``head`` (vertices); grouped by tail.
+        tetrahedra: ``v`` (4 vertices), ``e`` (4 x 4 edges: from ``v[i]`` to ``v[j]``; the diagonal is unset without
+            self edges) and ``volume`` (float64, of ``pos`` when the mesh was made).
+        triangles: the boundary: ``v`` (3 vertices), with the normal outwards.
+        corners: a row for each tetrahedron at each vertex: ``vertex``, ``tetrahedron``; grouped by vertex.
+        materials: those of a VEG file.
+        regions: which tetrahedra are of which material, by a VEG file.
+    """
+
+    def __init__(self, mesh: MeshData, *, self_edges: bool = False, fix_orientation: bool = False) -> None:
+        """The relations of a mesh that has been read or generated.
+
+        Raises:
+            MeshFormatError: the arrays make no solid (E705 to E709).
+        """
+        mesh, boundary = check_tetrahedra(mesh, fix_orientation)
+        self._mesh = mesh
+        self.materials: tuple[Material, ...] = mesh.materials
+        self.regions: tuple[Region, ...] = mesh.regions
+        cells, n = mesh.cells, len(mesh.points)
+        found = directed_edges(cells, n, self_edges)
+        self.vertices = ebb.Relation("vertices", size=n)
+        self.edges = ebb.Relation("edges", size=len(found.tail))
+        self.tetrahedra = ebb.Relation("tetrahedra", size=len(cells))
+        self.triangles = ebb.Relation("triangles", size=len(boundary))
+        self.vertices.new_field("pos", ebb.vec3d, init=mesh.points)
+        self.edges.new_field("tail", self.vertices, init=found.tail)
+        self.edges.new_field("head", self.vertices, init=found.head)
+        self.edges.group_by("tail")
+        if found.diagonal is not None:
+            self.vertices.new_field("diag", self.edges, init=found.diagonal)
+        self.tetrahedra.new_field("v", ebb.vector(self.vertices, 4), init=cells)
+        # What is masked stays unset: following it in a kernel is an error.
+        of_cell = found.of_cell if self_edges else np.ma.masked_less(found.of_cell, 0)
+        self.tetrahedra.new_field("e", ebb.matrix(self.edges, 4, 4), init=of_cell)
+        self.tetrahedra.new_field("volume", ebb.float64, init=tet_volumes(mesh.points, cells))
+        self.triangles.new_field("v", ebb.vector(self.vertices, 3), init=boundary)
+        self.corners = corner_relation(self.vertices, self.tetrahedra, "tetrahedron", cells)
+        add_vertex_members(self.vertices, self.edges)
+
+        corners = self.corners
+
+        @self.vertices.member
+        def tetrahedra(v: Any) -> Any:
+            return ebb.where(corners.vertex, v).tetrahedron
+
+    @classmethod
+    def from_arrays(
+        cls,
+        positions: npt.ArrayLike,
+        tetrahedra: npt.ArrayLike,
+        *,
+        self_edges: bool = False,
+        fix_orientation: bool = False,
+    ) -> TetMesh:
+        """A solid from points of the shape (n, 3) and corners of the shape (m, 4), numbered from 0.
+
+        Args:
+            positions: the coordinates, in any unit of length.
+            tetrahedra: the corners of each.
+            self_edges: whether each vertex gets an edge to itself.
+            fix_orientation: whether to exchange two corners of inverted tetrahedra, rather than to raise.
+
+        Raises:
+            MeshFormatError: wrong shapes or kinds of numbers, an index that is no point, a coordinate that is not
+                finite, a tetrahedron without volume or inverted, or more than two tetrahedra at a face.
+        """
+        mesh = mesh_data(positions, tetrahedra, 4, "tetrahedra")
+        return cls(mesh, self_edges=self_edges, fix_orientation=fix_orientation)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], *, self_edges: bool = False, fix_orientation: bool = True) -> TetMesh:
+        """A solid from a VEG file, or from any format that meshio reads.
+
+        Formats and programs differ in which orientation they call positive (the meshes that come with Vega FEM are all
+        negative here), so by default inverted tetrahedra of a file are turned, and their corners 2 and 3 exchanged.
+
+        Raises:
+            MeshFormatError: the file cannot be read, is malformed, or makes no solid; it names the line.
+            BackendError: the format is one of meshio's, and meshio is not installed.
+        """
+        return cls(read_tetrahedra(path), self_edges=self_edges, fix_orientation=fix_orientation)
+
+    def save(
+        self,
+        path: str | PathLike[str],
+        fields: Iterable[str | ebb.Field] = (),
+        positions: str | ebb.Field | None = None,
+    ) -> None:
+        """Write the solid as VEG, or in the format of meshio's that the suffix names (vtu, vtk, msh, ...).
+
+        Args:
+            path: where to.
+            fields: to save with it: names of fields of the vertices, or fields of vertices or tetrahedra.
+            positions: the field of the vertices that says where they are, by default ``pos``.
+
+        Raises:
+            MeshFormatError: the file cannot be written, or has no place for a field.
+            BackendError: the format is one of meshio's, and meshio is not installed.
+        """
+        write_mesh(path, self._mesh, self.vertices, self.tetrahedra, positions, fields)
+
+    @classmethod
+    def box(
+        cls,
+        nx: int,
+        ny: int,
+        nz: int,
+        size: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        *,
+        self_edges: bool = False,
+    ) -> TetMesh:
+        """A box with a corner at the origin, of nx * ny * nz cubes of six tetrahedra each."""
+        return cls(MeshData(*generators.box((nx, ny, nz), size)), self_edges=self_edges)
+
+    @classmethod
+    def ball(cls, resolution: int = 6, radius: float = 1.0, *, self_edges: bool = False) -> TetMesh:
+        """A ball about the origin of 20 * resolution**3 tetrahedra, on ``resolution`` concentric spheres."""
+        return cls(MeshData(*generators.ball(resolution, radius)), self_edges=self_edges)
+
+    @classmethod
+    def from_surface(
+        cls,
+        surface: TriMesh | npt.ArrayLike,
+        triangles: npt.ArrayLike | None = None,
+        *,
+        resolution: int = 32,
+        self_edges: bool = False,
+    ) -> TetMesh:
+        """A closed surface filled with the cubes of a lattice, each split into six tetrahedra (Kuhn).
+
+        Kept are the cubes that have a corner or their centre inside, so the solid covers the surface but for slivers,
+        and its own boundary has steps. Embed the surface in it (``embed``) to show the one by the other.
+
+        Args:
+            surface: a ``TriMesh``, or its points of the shape (n, 3), and then
+            triangles: the corners of the shape (m, 3), with normals outwards.
+            resolution: the number of cubes along the longest side of the bounding box.
+            self_edges: whether each vertex gets an edge to itself.
+
+        Raises:
+            MeshFormatError: the surface is not closed, or its arrays are no surface's.
+            ValueError: the resolution is no integer >= 1, or the surface has no extent.
+        """
+        if isinstance(surface, TriMesh):
+            points, cells = surface.vertices.pos.to_numpy(), surface.triangles.v.to_numpy()
+        else:
+            mesh = mesh_data(surface, () if triangles is None else triangles, 3, "triangles")
+            check_rows(mesh, "triangle")
+            points, cells = mesh.points, mesh.cells
+        return cls(fill_surface(points, cells.astype(np.int64), resolution), self_edges=self_edges)
+
+    def embed(self, points: npt.ArrayLike) -> tuple[Integers, Floats]:
+        """Place points in the mesh: the tetrahedron that holds each, or comes nearest, and barycentric weights there.
+
+        The weights sum to 1 and, applied to the corners' ``pos`` as it was when the mesh was made, give the point back;
+        for a point outside the mesh some are negative.
+
+        Args:
+            points: shape (n, 3).
+
+        Returns:
+            The rows of the tetrahedra, shape (n,), and the weights, shape (n, 4).
+
+        Raises:
+            MeshFormatError: the points are not finite numbers of the shape (n, 3), or the mesh has no tetrahedra.
+        """
+        given = mesh_data(points, (), 3, "triangles")
+        check_rows(given, "triangle")
+        if not len(self._mesh.cells):
+            raise MeshFormatError(WrongArray("the mesh", "one with tetrahedra", "an empty one"))
+        return embed_points(given.points, self._mesh.points, self._mesh.cells)
+
+    def __repr__(self) -> str:
+        return (
+            f"<TetMesh: {self.vertices.size} vertices, {self.edges.size} directed edges, "
+            f"{self.tetrahedra.size} tetrahedra, {self.triangles.size} boundary triangles>"
+        )
