@@ -59,25 +59,26 @@ class NameTaken(Diagnostic):
 
 
 @dataclass(frozen=True, slots=True)
-class UnknownField(Diagnostic):
-    """A name that is no field of the relation."""
+class UnknownName(Diagnostic):
+    """A name that is nothing of the relation, or nothing of the kind that is needed."""
 
     code: ClassVar[str] = "E503"
     relation: str
+    what: str
     name: str
-    fields: tuple[str, ...]
+    known: tuple[str, ...]
 
     @property
     def title(self) -> str:
-        return f"relation '{self.relation}' has no field '{self.name}'"
+        return f"relation '{self.relation}' has no {self.what} '{self.name}'"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return (f"its fields are {', '.join(self.fields)}" if self.fields else "it has no fields",)
+        return (f"it has {', '.join(self.known)}" if self.known else f"it has no {self.what}s",)
 
     @property
     def hints(self) -> tuple[str, ...]:
-        close = nearest(self.name, self.fields)
+        close = nearest(self.name, self.known)
         return (f"write '{close}'",) if close else ()
 
 
@@ -163,8 +164,9 @@ class WrongKind(Diagnostic):
     def notes(self) -> tuple[str, ...]:
         if self.value is None:
             return ()
-        where = f" in row {row_text(self.row)}" if self.row is not None else ""
-        return (f"the first that does not fit is {self.value}{where}",)
+        if self.row is None:
+            return (f"{self.value} does not fit",)
+        return (f"the first that does not fit is {self.value} in row {row_text(self.row)}",)
 
     @property
     def hints(self) -> tuple[str, ...]:

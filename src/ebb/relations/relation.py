@@ -21,8 +21,7 @@ from ebb.relations.errors import (
     NameTaken,
     NotGroupable,
     TypeMismatch,
-    UnknownField,
-    nearest,
+    UnknownName,
 )
 from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
@@ -36,6 +35,10 @@ Attribute: TypeAlias = Field | Member | Subset
 
 CALL = "__call__"
 """The name of the member that is the call of the key itself."""
+
+
+class MissingAttributeError(RelationError, AttributeError):
+    """A relation has no attribute of that name. It is also an ``AttributeError``, as ``hasattr`` expects."""
 
 
 class Relation:
@@ -255,17 +258,12 @@ class Relation:
         return self.size
 
     def __getattr__(self, name: str) -> Any:
-        if name == "_attributes":  # not yet set: the relation is being made, or copied
-            raise AttributeError(name)
+        if name.startswith("__") or name in Relation.__slots__:  # what Python asks of all objects; a slot not yet set
+            raise AttributeError(f"relation has no attribute {name!r}")
         found = self._attributes.get(name)
-        if found is not None:
-            return found
-        close = nearest(name, tuple(self._attributes))
-        raise AttributeError(
-            f"relation '{self.name}' has no attribute '{name}'" + (f"; did you mean '{close}'?" if close else ""),
-            name=name,
-            obj=self,
-        )
+        if found is None:
+            raise MissingAttributeError(UnknownName(self.name, "attribute", name, tuple(self._attributes)))
+        return found
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in Relation.__slots__:
@@ -307,7 +305,7 @@ class Relation:
                 raise RelationError(ForeignField(self.name, field.path))
             return field
         if field not in self._fields:
-            raise RelationError(UnknownField(self.name, str(field), tuple(self._fields)))
+            raise RelationError(UnknownName(self.name, "field", str(field), tuple(self._fields)))
         return self._fields[field]
 
     def _add_member(self, name: str, function: Function) -> Member:

@@ -1,3 +1,4 @@
 import ebb
 
-ebb.Relation("my edges", size=3)  #~
+vertices = ebb.Relation("vertices", size=4)
+vertices.new_field("rest length", ebb.float32)  #~ E501

@@ -1,4 +1,4 @@
 from world import make_mesh
 
 vertices, edges = make_mesh()
-vertices.copy(edges.rest_len, vertices.mass)  #~
+vertices.copy(edges.rest_len, vertices.mass)  #~ E504

@@ -1,3 +1,3 @@
 import ebb
 
-ebb.Relation("cells", shape=(2, 2, 2, 2))  #~
+ebb.Relation("cells", shape=(2, 2, 2, 2))  #~ E505

@@ -1,6 +1,5 @@
+import ebb
 from world import make_mesh
 
-import ebb
-
 vertices, edges = make_mesh()
-ebb.Global(vertices, 0)  #~
+nearest = ebb.Global(ebb.key(vertices), 0)  #~ E517

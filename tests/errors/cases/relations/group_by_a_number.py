@@ -1,4 +1,4 @@
 from world import make_mesh
 
 vertices, edges = make_mesh()
-edges.group_by("rest_len")  #~
+edges.group_by("rest_len")  #~ E511

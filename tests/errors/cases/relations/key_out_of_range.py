@@ -1,4 +1,4 @@
 from world import make_mesh
 
 vertices, edges = make_mesh()
-edges.head.load([0, 1, 2, 3, 4, 5, 6, 7])  #~
+edges.head.load([0, 1, 2, 3, 4, 5, 6, 7])  #~ E509

@@ -2,4 +2,4 @@ import numpy as np
 from world import make_grid
 
 cells = make_grid()
-cells.T.load(np.zeros((5, 4)))  #~
+cells.T.load(np.zeros((5, 4)))  #~ E506

@@ -1,4 +1,4 @@
 from world import make_mesh
 
 vertices, edges = make_mesh()
-print(vertices.mas)  #~
+print(vertices.mas)  #~ E503

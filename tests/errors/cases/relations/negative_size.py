@@ -1,3 +1,3 @@
 import ebb
 
-ebb.Relation("edges", size=-1)  #~
+vertices = ebb.Relation("vertices", size=-1)  #~ E505

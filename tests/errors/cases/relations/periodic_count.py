@@ -1,3 +1,3 @@
 import ebb
 
-ebb.Relation("cells", shape=(4, 4), periodic=(True, False, True))  #~
+ebb.Relation("cells", shape=(4, 4), periodic=(True, False, True))  #~ E505

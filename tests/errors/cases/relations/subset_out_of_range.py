@@ -1,4 +1,4 @@
 from world import make_mesh
 
 vertices, edges = make_mesh()
-vertices.new_subset("some", [0, 4])  #~
+vertices.new_subset("some", [0, 4])  #~ E515

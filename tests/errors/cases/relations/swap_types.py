@@ -1,4 +1,4 @@
 from world import make_mesh
 
 vertices, edges = make_mesh()
-vertices.swap("q", "mass")  #~
+vertices.swap("q", "mass")  #~ E510

@@ -3,4 +3,4 @@ from world import make_mesh
 import ebb
 
 vertices, edges = make_mesh()
-vertices.new_field("q", ebb.float32)  #~
+vertices.new_field("q", ebb.float32)  #~ E502

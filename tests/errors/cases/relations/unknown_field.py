@@ -1,4 +1,4 @@
 from world import make_mesh
 
 vertices, edges = make_mesh()
-vertices.swap("q", "postion")  #~
+vertices.swap("q", "postion")  #~ E503

@@ -12,4 +12,4 @@ def step(v: vertices):
 
 with vertices.mass.view(write=True) as mass:
     mass[:] = 1.0
-    step(vertices)  #~
+    step(vertices)  #~ E512

@@ -1,0 +1,4 @@
+from world import make_mesh
+
+vertices, edges = make_mesh()
+vertices.count.load(float("nan"))  #~ E507
