@@ -69,7 +69,7 @@ def run(
     _run_program(file, arguments or [])
 
 
-@app.command(context_settings=PROGRAM_ARGUMENTS)
+@app.command(context_settings=PROGRAM_ARGUMENTS, add_help_option=False)
 def demo(
     arguments: Annotated[list[str] | None, typer.Argument(help="Options of the example; --help lists them.")] = None,
 ) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 import ebb
+from ebb.types.builtins import BUILTINS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -86,3 +87,20 @@ def test_pages_link_to_files_that_are_there() -> None:
         if not (page.parent / target).exists()
     ]
     assert dead == []
+
+
+def builtin_table() -> str:
+    """The table of the reference, a row a builtin."""
+    rows = [(name, row.doc) for name, row in BUILTINS.items() if "." not in name]
+    lines = (f"| `{name}` | {doc.replace('|', chr(92) + '|')} |" for name, doc in rows)
+    return "\n".join(("| name | meaning |", "| --- | --- |", *lines))
+
+
+def test_reference_lists_every_builtin(request: pytest.FixtureRequest) -> None:
+    path = ROOT / "docs" / "reference" / "language.md"
+    page = path.read_text(encoding="utf-8")
+    before, _, rest = page.partition("<!-- builtins -->\n")
+    found = f"{before}<!-- builtins -->\n{builtin_table()}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
+    if request.config.getoption("--update-golden"):
+        path.write_text(found, encoding="utf-8")
+    assert found == path.read_text(encoding="utf-8")
