@@ -31,7 +31,7 @@ class TetMesh:
     of ``v.edges`` (and the vertex one of its neighbors): then edges are the entries of a sparse symmetric matrix.
 
     Attributes:
-        vertices: ``pos`` (vec3d), and with self edges ``diag`` (an edge).
+        vertices: ``pos`` (vec3f), and with self edges ``diag`` (an edge).
         edges: each edge in both directions: ``tail`` and ``head`` (vertices); grouped by tail.
         tetrahedra: ``v`` (4 vertices), ``e`` (4 x 4 edges: from ``v[i]`` to ``v[j]``; the diagonal is unset without
             self edges) and ``volume`` (float64, of ``pos`` when the mesh was made).
@@ -57,7 +57,7 @@ class TetMesh:
         self.edges = ebb.Relation("edges", size=len(found.tail))
         self.tetrahedra = ebb.Relation("tetrahedra", size=len(cells))
         self.triangles = ebb.Relation("triangles", size=len(boundary))
-        self.vertices.new_field("pos", ebb.vec3d, init=mesh.points)
+        self.vertices.new_field("pos", ebb.vec3f, init=mesh.points)
         self.edges.new_field("tail", self.vertices, init=found.tail)
         self.edges.new_field("head", self.vertices, init=found.head)
         self.edges.group_by("tail")

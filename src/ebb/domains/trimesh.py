@@ -28,7 +28,7 @@ class TriMesh:
     corner.
 
     Attributes:
-        vertices: ``pos`` (vec3d).
+        vertices: ``pos`` (vec3f).
         edges: each edge in both directions: ``tail`` and ``head`` (vertices); grouped by tail.
         triangles: ``v`` (3 vertices), and ``e01 e10 e12 e21 e20 e02`` (edges): from ``v[i]`` to ``v[j]``.
         corners: a row for each triangle at each vertex: ``vertex``, ``triangle``; grouped by vertex.
@@ -47,7 +47,7 @@ class TriMesh:
         self.vertices = ebb.Relation("vertices", size=n)
         self.edges = ebb.Relation("edges", size=len(found.tail))
         self.triangles = ebb.Relation("triangles", size=len(cells))
-        self.vertices.new_field("pos", ebb.vec3d, init=mesh.points)
+        self.vertices.new_field("pos", ebb.vec3f, init=mesh.points)
         self.edges.new_field("tail", self.vertices, init=found.tail)
         self.edges.new_field("head", self.vertices, init=found.head)
         self.edges.group_by("tail")
