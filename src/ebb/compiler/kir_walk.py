@@ -154,3 +154,9 @@ def map_bodies(stmt: Stmt, change: Callable[[Body], Body]) -> Stmt:
             return replace(stmt, body=new[0])
         case _:
             return stmt
+
+
+def map_body(body: Body, change: Callable[[Expr], Expr]) -> Body:
+    """A copy of ``body`` with ``change`` applied to the expressions of its statements, at any depth."""
+    new = tuple(map_operands(map_bodies(stmt, lambda inner: map_body(inner, change)), change) for stmt in body)
+    return body if all(before is after for before, after in zip(body, new, strict=True)) else new
