@@ -352,7 +352,7 @@ def test_assert_names_kernel_line_row_and_text(vertices, on):
 def test_dynamic_indices_are_checked(vertices, on):
     index = cast(row_id(on.row), int32)
     part = component(read(vertices.p, on.row), index)
-    with pytest.raises(BoundsError, match="E402.*index 3 is outside"):
+    with pytest.raises(BoundsError, match=r"E402.*index 3 is outside"):
         launch(on.kernel(write(vertices.b, on.row, part)))
     with pytest.raises(BoundsError, match=r"(?s)index -1 .*count from the end"):
         negative = binary("-", index, i32(1))
