@@ -212,8 +212,8 @@ def _diagnostic(kernel: kir.Kernel, access: Access, overrun: _Overrun, subset: s
     target = target_of(access.node)
     return StencilOutOfBounds(
         kernel=kernel.name,
-        span=_written_at(access.node.span),
-        move=_describe_move(access),
+        span=written_at(access.node.span),
+        move=describe_move(access),
         source=kernel.relation.name,
         target=target.name,
         dimension=overrun.dimension,
@@ -224,12 +224,13 @@ def _diagnostic(kernel: kir.Kernel, access: Access, overrun: _Overrun, subset: s
     )
 
 
-def _written_at(span: Span) -> Span:
+def written_at(span: Span) -> Span:
     """Where the access is written: ``c(1, 0)`` rather than the ``ebb.affine`` of the member that it calls."""
     return span if span.caller is None else span.caller
 
 
-def _describe_move(access: Access) -> str:
+def describe_move(access: Access) -> str:
+    """What an access does to the coordinates of the row: ``offset (1, 0)``, or ``map [[2, 0, 1], [0, 2, 0]]``."""
     matrix = access.steps[0].matrix
     for step in access.steps[1:]:
         matrix = _compose(step.matrix, matrix)
