@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import builtins
 import math
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NoReturn
 
 import numpy as np
@@ -155,7 +157,7 @@ def _transpose(m: Any) -> Any:
 
 
 def _trace(m: Any) -> Any:
-    return arithmetic.dot(np.diagonal(m), np.ones(len(m), m.dtype))
+    return reduce(operator.add, np.diagonal(m))
 
 
 def _inverse(m: Any) -> Any:
