@@ -157,7 +157,8 @@ def _transpose(m: Any) -> Any:
 
 
 def _trace(m: Any) -> Any:
-    return reduce(operator.add, np.diagonal(m))
+    diagonal: Any = np.diagonal(m)
+    return reduce(operator.add, diagonal)
 
 
 def _inverse(m: Any) -> Any:
