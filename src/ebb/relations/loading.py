@@ -174,10 +174,10 @@ def _masked_keys(array: Masked, place: Place) -> Array:
     if target is None:
         raise RelationError(WrongKind(place.name, repr(place.type), "masked values, which only keys have", None, None))
     mask = np.ma.getmaskarray(array)
-    if target.is_grid:
-        mask = mask.any(axis=-1)
+    if target.size == 0 and mask.all() and any(array.shape == shape for _, shape in place.shapes()):
+        return np.full(array.shape[: -1 if target.is_grid else None], -1, place.type.dtype)
     keys = converted(array.filled(0), place).copy()
-    keys[mask] = -1
+    keys[mask.any(axis=-1) if target.is_grid else mask] = -1
     return keys
 
 

@@ -1,4 +1,5 @@
 from world import make_grid
+
 import ebb
 
 cells = make_grid()
