@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import re
 import runpy
+import sys
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -51,11 +53,15 @@ def user_text(error: ebb.EbbError, work: Path) -> str:
 
 
 @pytest.fixture
-def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty current directory, and the case's imports from here."""
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty current directory, and the case's imports from here. What a case takes away comes back."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(HERE)
-    return tmp_path
+    modules = dict(sys.modules)
+    yield tmp_path
+    sys.modules.update(modules)
+    for name in [name for name, module in sys.modules.items() if module is None and name not in modules]:
+        del sys.modules[name]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.parent.name}-{case.stem}")

@@ -1,0 +1,91 @@
+"""What this installation has, in words: for ``ebb info`` and for reports of faults."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+
+import ebb
+from ebb.backends.cache import cache_directory
+from ebb.backends.select import BACKENDS
+from ebb.errors import BackendError
+from ebb.runtime.threads import describe_threads, thread_count
+
+#: The widest vectors of a processor by the features that LLVM names, the widest first.
+_VECTOR_FEATURES = (("avx512f", "AVX-512"), ("avx2", "AVX2"), ("avx", "AVX"), ("sse4.2", "SSE4.2"), ("neon", "NEON"))
+
+#: The packages that an extra brings.
+_EXTRAS = {"mesh": ("meshio", "scipy"), "viz": ("pyvista", "pymeshfix", "meshio", "scipy"), "openmp": ("intel-openmp",)}
+
+
+def describe_environment() -> tuple[tuple[str, str], ...]:
+    """Names and values, a row each."""
+    return (
+        ("ebb", f"{ebb.__version__} ({os.path.dirname(ebb.__file__)})"),
+        ("python", f"{platform.python_version()} on {platform.platform()}"),
+        ("numpy", np.__version__),
+        ("llvmlite", version("llvmlite")),
+        ("llvm", _llvm_version()),
+        ("processor", _processor()),
+        ("threads", _threads()),
+        ("cache", _cache()),
+        *((f"backend {name}", _backend(name)) for name in BACKENDS),
+        *((f"extra {extra}", _extra(extra)) for extra in _EXTRAS),
+    )
+
+
+def _llvm_version() -> str:
+    parts: Any = llvm.llvm_version_info
+    return ".".join(map(str, parts))
+
+
+def _processor() -> str:
+    features: Any = llvm.get_host_cpu_features()  # llvmlite has no types
+    widest = next((label for name, label in _VECTOR_FEATURES if features.get(name)), "no vector instructions known")
+    return f"{llvm.get_host_cpu_name()}, {widest}, {os.cpu_count()} cores"
+
+
+def _threads() -> str:
+    try:
+        return f"{thread_count()} by {describe_threads()}"
+    except BackendError as error:
+        return error.diagnostics[0].title
+
+
+def _cache() -> str:
+    folder = cache_directory()
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return str(folder)
+    return f"{folder}, which cannot be written: set EBB_CACHE_DIR, or every run compiles its kernels again"
+
+
+def _backend(name: str) -> str:
+    """Whether a backend can run here, or what it lacks."""
+    try:
+        BACKENDS[name][0]()
+    except BackendError as error:
+        hints = "; ".join(error.diagnostics[0].hints)
+        return f"not available: {error.diagnostics[0].title}; {hints}"
+    return "available"
+
+
+def _extra(extra: str) -> str:
+    missing = [package for package in _EXTRAS[extra] if not _is_installed(package)]
+    return f'not installed: pip install "ebblang[{extra}]" for {", ".join(missing)}' if missing else "installed"
+
+
+def _is_installed(package: str) -> bool:
+    if find_spec(package.replace("-", "_")) is not None:
+        return True
+    try:
+        version(package)
+    except PackageNotFoundError:
+        return False
+    return True
