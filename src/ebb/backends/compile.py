@@ -1,0 +1,63 @@
+"""LIR to object code for a target, through the disk cache, and its stages as text."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+from functools import cache
+from pathlib import Path
+
+import ebb.backends.llvm as emitter
+from ebb.backends.cache import ObjectCache, key_of
+from ebb.backends.llvm.emit import emit
+from ebb.backends.llvm.optimize import optimize
+from ebb.backends.target import Target
+from ebb.compiler import lir, lir_print, lir_verify
+from ebb.runtime import cpu
+
+_log = logging.getLogger("ebb.compiler")
+
+
+def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> bytes:
+    """The object code of ``program``: from ``cache``, or compiled and put there."""
+    lir_verify.verify(program)
+    text = lir_print.text(program)
+    _dump(program.name, "lower", text)
+    key = key_of(text, target.fingerprint, _emitter_version())
+    image = cache.get(key)
+    if image is None:
+        start = time.perf_counter()
+        module = optimize(emit(program, target.hooks), target)
+        _dump(program.name, "optimize", module)
+        image = bytes(target.machine.emit_object(module))
+        _log.debug("%s: compiling took %.2f ms", program.name, 1e3 * (time.perf_counter() - start))
+        cache.put(key, image)
+    return image
+
+
+def llvm_text(program: lir.Program, target: Target) -> str:
+    """``program`` as LLVM IR after LLVM's own passes."""
+    return str(optimize(emit(program, target.hooks), target))
+
+
+def assembly_text(program: lir.Program, target: Target) -> str:
+    """``program`` in the target's assembly language."""
+    text: str = target.machine.emit_assembly(optimize(emit(program, target.hooks), target))
+    return text
+
+
+@cache
+def _emitter_version() -> str:
+    """A hash of the sources that make LLVM IR of LIR, so that code of another version is never taken for ours."""
+    sources = sorted(Path(next(iter(emitter.__path__))).glob("*.py"))
+    sources += [Path(module.__file__) for module in (lir, cpu)]
+    return key_of(*(path.read_text(encoding="utf-8") for path in sources))
+
+
+def _dump(name: str, stage: str, text: object) -> None:
+    """Prints a stage where ``EBB_DUMP`` asks for it, as ``ebb.compiler.pipeline`` does."""
+    asked = os.environ.get("EBB_DUMP", "")
+    if asked == "all" or name in asked.split(","):
+        print(f"# {name} after {stage}\n{text}\n", file=sys.stderr)

@@ -1,0 +1,119 @@
+"""The backend ``cpu``: kernels as machine code, on all cores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from ebb.backends.backend import CheckedKernel
+from ebb.backends.binding import Binding
+from ebb.backends.cache import ObjectCache
+from ebb.backends.compile import assembly_text, llvm_text, object_code
+from ebb.backends.target import Target, host
+from ebb.compiler import lir, lir_print
+from ebb.compiler.lower import Launched, lower, sources_of
+from ebb.compiler.lower.facts import State
+from ebb.relations.subset import RowSet
+from ebb.runtime.cpu import CpuCode, CpuDevice
+from ebb.runtime.threads import thread_count
+
+_STAGES: dict[str, Callable[[lir.Program, Target], str]] = {
+    "lir": lambda program, _: lir_print.text(program),
+    "llvm": llvm_text,
+    "asm": assembly_text,
+}
+
+
+@dataclass(slots=True, eq=False)
+class CpuBackend:
+    """Compiles kernels with LLVM and runs them on this machine's cores.
+
+    Attributes:
+        device: the processor.
+        cache: where object code is kept between processes.
+    """
+
+    device: CpuDevice
+    cache: ObjectCache = field(default_factory=ObjectCache)
+    name: str = "cpu"
+    stages: tuple[str, ...] = tuple(_STAGES)
+
+    def prepare(self, checked: CheckedKernel) -> CpuExecutable:
+        """The kernel, to be compiled when it is launched: only then is it known what the code depends on."""
+        return CpuExecutable(checked, self)
+
+
+def cpu_backend(threads: int | None = None) -> CpuBackend:
+    """The backend ``cpu``.
+
+    Args:
+        threads: how many threads a launch may use; ``EBB_NUM_THREADS`` or all cores by default.
+
+    Raises:
+        BackendError: ``threads`` is no number of threads.
+    """
+    return CpuBackend(CpuDevice(thread_count(threads)))
+
+
+class CpuExecutable:
+    """A kernel on the backend ``cpu``: machine code for each way in which its rows and its data have been met."""
+
+    def __init__(self, checked: CheckedKernel, backend: CpuBackend) -> None:
+        self._checked = checked
+        self._backend = backend
+        self._sources = sources_of(checked.kernel)
+        self._compiled: dict[tuple[Launched, State], tuple[lir.Program, CpuCode]] = {}
+        self._bindings: dict[tuple[RowSet, State], Binding] = {}
+
+    def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
+        """Runs the kernel on ``rows`` and waits for it. The groupings that it queries are valid.
+
+        Args:
+            rows: the kernel's relation or a subset of it.
+            uniforms: the values of ``kernel.uniforms`` as NumPy values of their types.
+
+        Raises:
+            EbbError: an assertion or a check of the kernel failed for some row.
+        """
+        if rows.size == 0:
+            return
+        state = self._sources.state()
+        binding = self._bindings.get((rows, state))
+        if binding is None:
+            program, code = self._compile(_launched(rows), state)
+            device = self._backend.device
+            binding = self._bindings[rows, state] = Binding(self._checked.kernel, program, code, device, rows)
+        binding.run(uniforms)
+
+    def inspect(self, stage: str) -> str | None:
+        """The text of the stage ``lir``, ``llvm`` or ``asm`` for a launch on all rows; None for any other."""
+        if stage not in _STAGES:
+            return None
+        program = self._lower(_launched(self._checked.kernel.relation), self._sources.state())
+        return _STAGES[stage](program, host())
+
+    def _compile(self, launched: Launched, state: State) -> tuple[lir.Program, CpuCode]:
+        found = self._compiled.get((launched, state))
+        if found is None:
+            program = self._lower(launched, state)
+            code = self._backend.device.load(program.name, object_code(program, host(), self._backend.cache))
+            found = self._compiled[launched, state] = program, code
+        return found
+
+    def _lower(self, launched: Launched, state: State) -> lir.Program:
+        checked = self._checked
+        return lower(
+            checked.kernel,
+            checked.phases,
+            [access.node for access in checked.stencil],
+            self._sources.facts(state),
+            launched,
+            lir.Precision.FAST if checked.hints.fastmath else lir.Precision.CONTRACT,
+        )
+
+
+def _launched(rows: RowSet) -> Launched:
+    if rows.boxes is not None:
+        return Launched.BOXES
+    return Launched.ALL if rows.row_positions() is None else Launched.LISTED

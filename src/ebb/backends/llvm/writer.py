@@ -1,0 +1,87 @@
+"""The text of an LLVM module under construction: functions, declarations and metadata."""
+
+from __future__ import annotations
+
+from ebb.backends.llvm.hooks import Hooks
+
+
+class ModuleWriter:
+    """Collects the functions of a module and what they refer to."""
+
+    def __init__(self, hooks: Hooks) -> None:
+        self.hooks = hooks
+        self.functions: list[str] = []
+        self.declarations: dict[str, None] = {}
+        self.definitions: dict[str, str] = {}
+        self.metadata: list[str] = []
+
+    def note(self, text: str) -> str:
+        """Appends a metadata node and returns its name; ``{self}`` in ``text`` stands for the name."""
+        name = f"!{len(self.metadata)}"
+        self.metadata.append(f"{name} = {text.format(self=name)}")
+        return name
+
+    def text(self) -> str:
+        """The module as LLVM assembly."""
+        declared = [f"declare {signature}" for signature in self.declarations]
+        parts = [*declared, *self.definitions.values(), *self.functions, *self.metadata]
+        return "\n".join(parts) + "\n"
+
+
+class FunctionWriter:
+    """Instructions of one function, appended block by block."""
+
+    def __init__(self, module: ModuleWriter) -> None:
+        self.module = module
+        self.hooks = module.hooks
+        self.label = "entry"
+        self._lines: list[str] = []
+        self._allocas: list[str] = []
+        self._count = 0
+
+    def fresh(self, stem: str) -> str:
+        """A name that no instruction or label of the function has."""
+        self._count += 1
+        return f"{stem}.{self._count}"
+
+    def emit(self, instruction: str) -> str:
+        """Appends ``instruction`` and returns the name of its result."""
+        name = f"%{self.fresh('v')}"
+        self._lines.append(f"  {name} = {instruction}")
+        return name
+
+    def do(self, instruction: str) -> None:
+        """Appends an instruction without result."""
+        self._lines.append(f"  {instruction}")
+
+    def allocate(self, type_: str) -> str:
+        """Memory of the function, allotted at its entry."""
+        name = f"%{self.fresh('var')}"
+        self._allocas.append(f"  {name} = alloca {type_}")
+        return name
+
+    def declare(self, signature: str) -> None:
+        """Makes the module declare an external function."""
+        self.module.declarations[signature] = None
+
+    def define(self, name: str, text: str) -> None:
+        """Makes the module define a function of its own."""
+        self.module.definitions[name] = text
+
+    def branch(self, label: str) -> None:
+        """Ends the basic block with a jump to ``label``."""
+        self.do(f"br label %{label}")
+
+    def branch_if(self, condition: str, then: str, other: str) -> None:
+        """Ends the basic block with a jump to ``then`` or ``other``."""
+        self.do(f"br i1 {condition}, label %{then}, label %{other}")
+
+    def start(self, label: str) -> None:
+        """Begins the basic block ``label``."""
+        self._lines.append(f"{label}:")
+        self.label = label
+
+    def finish(self, header: str) -> None:
+        """Adds the function to the module. Its last basic block has been ended."""
+        body = "\n".join([*self._allocas, *self._lines])
+        self.module.functions.append(f"{header} {{\nentry:\n{body}\n}}\n")

@@ -1,0 +1,50 @@
+"""Targets: what to compile for, a row a kind of machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+
+from ebb.backends.llvm.hooks import CPU, Hooks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """A machine to compile for.
+
+    Attributes:
+        triple: LLVM's name of the kind of machine.
+        cpu: LLVM's name of the processor.
+        features: the instruction sets that may be used, as LLVM spells them.
+        hooks: what the emitter needs to know.
+        machine: LLVM's target machine.
+    """
+
+    triple: str
+    cpu: str
+    features: str
+    hooks: Hooks
+    machine: Any
+
+    @property
+    def fingerprint(self) -> str:
+        """All that the object code depends on beside the program."""
+        version = ".".join(map(str, llvm.llvm_version_info))
+        return f"{self.triple} {self.cpu} {self.features} llvmlite {llvmlite.__version__} llvm {version}"
+
+
+@cache
+def host() -> Target:
+    """The processor that this process runs on, with all of its instruction sets."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    triple = llvm.get_process_triple()
+    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    machine = llvm.Target.from_triple(triple).create_target_machine(
+        cpu=cpu, features=features, opt=3, reloc="pic", codemodel="small"
+    )
+    return Target(triple, cpu, features, CPU, machine)

@@ -1,0 +1,44 @@
+"""Boxes of a grid cut into blocks of rows: whole lines where they are short, stretches of a line where it is long."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ebb.compiler.lir import BLOCK_ROWS
+from ebb.relations.subset import Box
+
+
+def tile_boxes(boxes: Sequence[Box]) -> npt.NDArray[np.int64]:
+    """The blocks of ``boxes``, in the order of their rows: start and stop in each dimension.
+
+    Args:
+        boxes: disjoint boxes of one grid of ``ndim`` dimensions.
+
+    Returns:
+        An array of the shape ``(blocks, ndim, 2)``. A block has about ``BLOCK_ROWS`` rows, and its rows follow one
+        another in the order of indices within their box.
+    """
+    parts = [_tiles(box) for box in boxes if box.size]
+    ndim = len(boxes[0].start) if boxes else 1
+    return np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, ndim, 2), dtype=np.int64)
+
+
+def _tiles(box: Box) -> npt.NDArray[np.int64]:
+    sides = [np.arange(start, stop, side) for start, stop, side in zip(box.start, box.stop, _sides(box), strict=True)]
+    starts = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, len(sides))
+    stops = np.minimum(starts + np.array(_sides(box)), np.array(box.stop))
+    return np.stack((starts, stops), axis=-1).astype(np.int64)
+
+
+def _sides(box: Box) -> list[int]:
+    """The extents of a block. More than one index of a dimension only where all inner dimensions are whole."""
+    sides: list[int] = []
+    room = BLOCK_ROWS
+    for start, stop in zip(reversed(box.start), reversed(box.stop), strict=True):
+        side = max(1, min(stop - start, room))
+        room = room // side if side == stop - start else 1
+        sides.append(side)
+    return sides[::-1]

@@ -1,0 +1,433 @@
+"""LIR, the low-level IR: how the rows of a kernel are computed, for every target. The whole grammar is this file.
+
+Scalars only, in A-normal form: an operation takes values (temporaries and literals) and defines one temporary; control
+flow is structured; memory is *slots*, distinct buffers that never overlap, indexed by element. A program is one function
+over a *block* of rows, a fixed stretch that some thread (or workgroup) takes, and one that finishes the launch. It holds
+no data: what stands behind a slot or an argument is a binding, looked up at each launch, so the text of a program is the
+same for every launch and may key a cache.
+
+Arithmetic is total: integer division by zero is 0, overflow wraps, shifts by too much give 0 (-1 for ``>>`` of a negative
+number), floats to integers saturate. Keys are int64 positions; memory may hold them as int32.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from ebb.types.types import ScalarType
+
+if TYPE_CHECKING:
+    from ebb.relations.field import Field
+    from ebb.relations.globals import Global
+    from ebb.relations.relation import Relation
+
+BLOCK_ROWS = 1024
+"""The rows of a block. Part of the meaning: partial results are per block, whatever the number of threads."""
+
+# ---- Bindings: what the runtime puts behind a slot or an argument at each launch. ----
+
+
+@dataclass(frozen=True, slots=True)
+class FieldData:
+    field: Field
+
+
+@dataclass(frozen=True, slots=True)
+class GroupOffsets:
+    """Where each group of the grouping of ``index`` starts; one more entry than the target has rows."""
+
+    index: Field
+
+
+@dataclass(frozen=True, slots=True)
+class GroupRows:
+    """The positions of the grouped rows, where the storage is not sorted by ``index``."""
+
+    index: Field
+
+
+@dataclass(frozen=True, slots=True)
+class RowOrder:
+    """The identity of the row at each position of ``relation``."""
+
+    relation: Relation
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalData:
+    globl: Global
+
+
+@dataclass(frozen=True, slots=True)
+class Partials:
+    """The partial results of the reduction number ``reduction``: one row of components a block."""
+
+    reduction: int
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchPositions:
+    """The positions of the rows to run on, where they are given as a list."""
+
+
+@dataclass(frozen=True, slots=True)
+class PrintRecords:
+    """Records of ``PRINT_HEADER + Program.print_words`` int64 words, behind a counter that takes one word."""
+
+
+SlotBinding: TypeAlias = (
+    FieldData | GroupOffsets | GroupRows | RowOrder | GlobalData | Partials | LaunchPositions | PrintRecords
+)
+
+
+@dataclass(frozen=True, slots=True)
+class UniformComponent:
+    uniform: int
+    component: int
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """``relation.shape[dimension]``."""
+
+    relation: Relation
+    dimension: int
+
+
+@dataclass(frozen=True, slots=True)
+class BlockCount:
+    """How many blocks the launch has."""
+
+
+class RandomWord(Enum):
+    """A word of the key or the counter of the random numbers that is the same for a whole launch."""
+
+    SEED_LOW = "seed low"
+    SEED_HIGH = "seed high"
+    LAUNCH = "launch"
+
+
+ArgumentBinding: TypeAlias = UniformComponent | Extent | BlockCount | RandomWord
+
+# ---- Values and places. ----
+
+
+class Access(Enum):
+    """What a program does with a slot."""
+
+    READ = "read"
+    WRITE = "write"
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A buffer of ``type``. No two slots of a program overlap."""
+
+    number: int
+    type: ScalarType
+    access: Access
+    binding: SlotBinding
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """A scalar that is the same for all rows of a launch."""
+
+    number: int
+    type: ScalarType
+    binding: ArgumentBinding
+
+
+@dataclass(frozen=True, slots=True)
+class Temp:
+    """The result of one operation; defined once."""
+
+    number: int
+    type: ScalarType
+
+
+@dataclass(frozen=True, slots=True)
+class Literal:
+    value: Any
+    type: ScalarType
+
+
+Value: TypeAlias = Temp | Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Var:
+    """A private array of ``size`` scalars, zero where it is declared."""
+
+    number: int
+    name: str
+    type: ScalarType
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    number: int
+    name: str
+
+
+# ---- Operations: pure but for what they read. ----
+
+
+@dataclass(frozen=True, slots=True)
+class Unary:
+    """``-`` of a number, ``~`` of an integer, ``not`` of a bool."""
+
+    op: str
+    operand: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Binary:
+    """``+ - * / // % & | ^ << >> min max`` of two values of one type; on bools ``& | ^``."""
+
+    op: str
+    left: Value
+    right: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Compare:
+    """``== != < <= > >=`` of two values of one type, a bool."""
+
+    op: str
+    left: Value
+    right: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Select:
+    """``then`` or ``other``; both are values already."""
+
+    condition: Value
+    then: Value
+    other: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Convert:
+    """``operand`` as the type of the temporary that is defined."""
+
+    operand: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Math:
+    """A function of ``MATH`` of values of one type, which is that of the result."""
+
+    function: str
+    operands: tuple[Value, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    slot: Slot
+    index: Value
+
+
+@dataclass(frozen=True, slots=True)
+class LoadVar:
+    var: Var
+    index: Value
+
+
+@dataclass(frozen=True, slots=True)
+class LoadArgument:
+    argument: Argument
+
+
+Operation: TypeAlias = Unary | Binary | Compare | Select | Convert | Math | Load | LoadVar | LoadArgument
+
+MATH: dict[str, int] = dict.fromkeys(
+    "abs sqrt cbrt exp log log2 log10 exp2 expm1 log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
+    " erf floor ceil trunc round".split(),
+    1,
+) | dict.fromkeys("pow atan2 fmod copysign hypot ipow".split(), 2)
+"""The mathematical functions and how many operands each takes; all on floats but ``ipow``, an integer power."""
+
+# ---- Statements. ----
+
+Body: TypeAlias = "tuple[Stmt, ...]"
+
+
+@dataclass(frozen=True, slots=True)
+class Let:
+    temp: Temp
+    operation: Operation
+
+
+@dataclass(frozen=True, slots=True)
+class Declare:
+    """``var`` comes into being and is zero."""
+
+    var: Var
+
+
+@dataclass(frozen=True, slots=True)
+class StoreVar:
+    var: Var
+    index: Value
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    slot: Slot
+    index: Value
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Accumulate:
+    """``var[index] = var[index] op value``, in any order and grouping of the values that a block accumulates."""
+
+    var: Var
+    index: Value
+    op: str
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class If:
+    condition: Value
+    then: Body
+    orelse: Body
+
+
+@dataclass(frozen=True, slots=True)
+class For:
+    """``for counter in range(start, stop)``."""
+
+    counter: Temp
+    start: Value
+    stop: Value
+    body: Body
+
+
+@dataclass(frozen=True, slots=True)
+class While:
+    """Runs ``head``, leaves if ``condition``, which it computed, is false, runs ``body``, and so on."""
+
+    head: Body
+    condition: Value
+    body: Body
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """``body``, which ``Leave`` of ``label`` ends."""
+
+    label: Label
+    body: Body
+
+
+@dataclass(frozen=True, slots=True)
+class Leave:
+    label: Label
+
+
+class Rows(Enum):
+    """Whether the rows of a loop touch one another's memory."""
+
+    INDEPENDENT = "independent"
+    IN_ORDER = "in order"
+
+
+@dataclass(frozen=True, slots=True)
+class RowLoop:
+    """``body`` for each row of the block. On a CPU it is a loop, on a GPU the thread.
+
+    ``index`` has one temporary, the number of the row in the launch, or on a box one a dimension, the coordinates.
+    """
+
+    index: tuple[Temp, ...]
+    rows: Rows
+    body: Body
+
+
+@dataclass(frozen=True, slots=True)
+class Fail:
+    """The launch has failed at ``Program.sites[site]`` in the row at ``position``; ``payload`` says how."""
+
+    site: int
+    position: Value
+    payload: tuple[Value, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Print:
+    """A record for ``Program.prints[number]``: the row's position and the values, in their own types."""
+
+    number: int
+    slot: Slot
+    position: Value
+    values: tuple[Value, ...]
+
+
+Stmt: TypeAlias = (
+    Let | Declare | StoreVar | Store | Accumulate | If | For | While | Block | Leave | RowLoop | Fail | Print
+)
+
+# ---- Programs. ----
+
+
+class Schedule(Enum):
+    """Which blocks may run at once."""
+
+    PARALLEL = "parallel"
+    ORDERED = "ordered"
+
+
+class Space(Enum):
+    """How the rows of a launch are numbered.
+
+    LINE: rows ``0 <= i < n``, which are positions or entries of a list of positions, in blocks of ``BLOCK_ROWS``.
+    BOX: each block is a box of coordinates of a grid.
+    """
+
+    LINE = "line"
+    BOX = "box"
+
+
+class Precision(Enum):
+    """What the optimiser may do to floats: fuse ``a*b+c``, or also reassociate."""
+
+    CONTRACT = "contract"
+    FAST = "fast"
+
+
+PAYLOAD_WORDS = 8
+"""The most values that a ``Fail`` carries."""
+
+PRINT_HEADER = 2
+"""The words of a print record before its values: the number of the print and the row's position."""
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """What runs at a launch: ``block`` for each block, then ``finish`` once.
+
+    ``block_number`` is the number of the block, defined in ``block``. ``sites`` and ``prints`` are KIR nodes; they
+    are no part of the text.
+    """
+
+    name: str
+    space: Space
+    dimensions: int
+    schedule: Schedule
+    precision: Precision
+    slots: tuple[Slot, ...]
+    arguments: tuple[Argument, ...]
+    block_number: Temp
+    block: Body
+    finish: Body
+    sites: tuple[Any, ...]
+    prints: tuple[Any, ...]
+    print_words: int

@@ -1,0 +1,157 @@
+"""The text of LIR: for ``kernel.inspect``, for golden tests, and as the key of the disk cache.
+
+The text is the program, but for spans: two programs of one text compile to the same code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from ebb.compiler import lir
+
+_INDENT = "  "
+
+
+def text(program: lir.Program) -> str:
+    """``program`` as text, one statement a line."""
+    return "\n".join(_program(program)) + "\n"
+
+
+def statement(stmt: lir.Stmt) -> str:
+    """One statement as text, with the bodies inside it."""
+    return "\n".join(_statement(stmt))
+
+
+def _program(program: lir.Program) -> Iterator[str]:
+    space = program.space.value if program.space is lir.Space.LINE else f"box {program.dimensions}"
+    yield f"program {program.name} over {space}, {program.schedule.value}, floats {program.precision.value}"
+    for slot in program.slots:
+        yield f"{_INDENT}slot s{slot.number}: {slot.type!r} {slot.access.value}  # {_binding(slot.binding)}"
+    for argument in program.arguments:
+        yield f"{_INDENT}argument a{argument.number}: {argument.type!r}  # {_binding(argument.binding)}"
+    if program.prints:
+        yield f"{_INDENT}print words {program.print_words}"
+    yield f"block {_temp(program.block_number)}:"
+    yield from _body(program.block)
+    if program.finish:
+        yield "finish:"
+        yield from _body(program.finish)
+
+
+def _binding(binding: lir.SlotBinding | lir.ArgumentBinding) -> str:  # noqa: C901 - one case a kind of binding
+    match binding:
+        case lir.FieldData(field):
+            return f"{field.relation.name}.{field.name}"
+        case lir.GroupOffsets(index):
+            return f"offsets of {index.relation.name}.{index.name}"
+        case lir.GroupRows(index):
+            return f"rows by {index.relation.name}.{index.name}"
+        case lir.RowOrder(relation):
+            return f"identities of {relation.name}"
+        case lir.GlobalData():
+            return "global"
+        case lir.Partials(reduction):
+            return f"partials of reduction {reduction}"
+        case lir.LaunchPositions():
+            return "positions of the launch"
+        case lir.PrintRecords():
+            return "print records"
+        case lir.UniformComponent(uniform, component):
+            return f"uniform {uniform}[{component}]"
+        case lir.Extent(relation, dimension):
+            return f"{relation.name}.shape[{dimension}]"
+        case lir.BlockCount():
+            return "blocks of the launch"
+        case lir.RandomWord():
+            return f"random {binding.value}"
+
+
+def _body(body: lir.Body) -> Iterator[str]:
+    for stmt in body:
+        for line in _statement(stmt):
+            yield _INDENT + line
+
+
+def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind of statement
+    match stmt:
+        case lir.Let(temp, operation):
+            yield f"{_temp(temp)}: {temp.type!r} = {_operation(operation)}"
+        case lir.Declare(var):
+            yield f"var {_var(var)}: {var.type!r}[{var.size}]"
+        case lir.StoreVar(var, index, stored):
+            yield f"{_var(var)}[{value(index)}] = {value(stored)}"
+        case lir.Store(slot, index, stored):
+            yield f"s{slot.number}[{value(index)}] = {value(stored)}"
+        case lir.Accumulate(var, index, op, added):
+            yield f"accumulate {_var(var)}[{value(index)}] {op} {value(added)}"
+        case lir.If(condition, then, orelse):
+            yield f"if {value(condition)}:"
+            yield from _body(then)
+            if orelse:
+                yield "else:"
+                yield from _body(orelse)
+        case lir.For(counter, start, stop, body):
+            yield f"for {_temp(counter)}: {counter.type!r} in {value(start)} .. {value(stop)}:"
+            yield from _body(body)
+        case lir.While(head, condition, body):
+            yield "while:"
+            yield from _body(head)
+            yield f"holds {value(condition)}:"
+            yield from _body(body)
+        case lir.Block(label, body):
+            yield f"block {_label(label)}:"
+            yield from _body(body)
+        case lir.Leave(label):
+            yield f"leave {_label(label)}"
+        case lir.RowLoop(index, rows, body):
+            yield f"rows {_values(index)}, {rows.value}:"
+            yield from _body(body)
+        case lir.Fail(site, position, payload):
+            yield f"fail {site} at {value(position)} ({_values(payload)})"
+        case lir.Print(number, slot, position, values):
+            yield f"print {number} into s{slot.number} at {value(position)} ({_values(values)})"
+
+
+def _operation(operation: lir.Operation) -> str:  # noqa: C901 - one case a kind of operation
+    match operation:
+        case lir.Unary(op, operand):
+            return f"{op} {value(operand)}"
+        case lir.Binary(op, left, right) | lir.Compare(op, left, right):
+            return f"{value(left)} {op} {value(right)}"
+        case lir.Select(condition, then, other):
+            return f"select {value(condition)} ? {value(then)} : {value(other)}"
+        case lir.Convert(operand):
+            return f"convert {value(operand)}"
+        case lir.Math(function, operands):
+            return f"{function}({_values(operands)})"
+        case lir.Load(slot, index):
+            return f"s{slot.number}[{value(index)}]"
+        case lir.LoadVar(var, index):
+            return f"{_var(var)}[{value(index)}]"
+        case lir.LoadArgument(argument):
+            return f"a{argument.number}"
+
+
+def value(operand: lir.Value) -> str:
+    """A temporary by its number, a literal with its type where Python's spelling does not tell."""
+    match operand:
+        case lir.Temp():
+            return _temp(operand)
+        case lir.Literal(literal, scalar):
+            return f"{literal!r}:{scalar!r}"
+
+
+def _values(values: Iterable[lir.Value]) -> str:
+    return ", ".join(value(operand) for operand in values)
+
+
+def _temp(temp: lir.Temp) -> str:
+    return f"%{temp.number}"
+
+
+def _var(var: lir.Var) -> str:
+    return f"{var.name}.{var.number}"
+
+
+def _label(label: lir.Label) -> str:
+    return f"{label.name}.{label.number}"

@@ -1,0 +1,114 @@
+"""What code depends on of the data: a few bits, read at each launch. Other facts, other code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TypeAlias, TypeVar
+
+from ebb.compiler import kir
+from ebb.compiler.kir_walk import expressions, statements
+from ebb.relations.field import Field
+from ebb.relations.relation import Relation
+from ebb.types.types import KeyType, Type
+
+_Source = TypeVar("_Source", Field, Relation)
+
+REACH = 8
+"""Offsets up to this wrap by one addition on a grid whose periodic extents are at least as large."""
+
+State: TypeAlias = tuple[bool, ...]
+"""The facts of one moment, in the order of their sources: hashable, and cheap to compare."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What holds of the data while the code that was lowered with it runs.
+
+    Attributes:
+        unset: key fields that may hold unset keys.
+        permuted: relations whose rows are not stored in the order of their identities.
+        indirect: grouped key fields whose groups are lists of positions.
+        empty: grids without cells.
+        narrow: periodic grids with an extent below ``REACH``.
+    """
+
+    unset: frozenset[Field]
+    permuted: frozenset[Relation]
+    indirect: frozenset[Field]
+    empty: frozenset[Relation]
+    narrow: frozenset[Relation]
+
+
+@dataclass(frozen=True, slots=True)
+class FactSources:
+    """Where the facts of one kernel come from. The grouping of each queried field is valid when they are read."""
+
+    keys: tuple[Field, ...]
+    numbered: tuple[Relation, ...]
+    queried: tuple[Field, ...]
+    grids: tuple[Relation, ...]
+
+    def state(self) -> State:
+        """The facts now."""
+        return (
+            *[field.maybe_unset for field in self.keys],
+            *[relation.storage.order is not None for relation in self.numbered],
+            *[field.grouping is not None and field.grouping.rows is not None for field in self.queried],
+            *[relation.size == 0 for relation in self.grids],
+            *[_is_narrow(relation) for relation in self.grids],
+        )
+
+    def facts(self, state: State) -> Facts:
+        """``state`` with the names of what it is about."""
+        bits = iter(state)
+
+        def holding(sources: tuple[_Source, ...]) -> frozenset[_Source]:
+            return frozenset(source for source in sources if next(bits))
+
+        return Facts(
+            unset=holding(self.keys),
+            permuted=holding(self.numbered),
+            indirect=holding(self.queried),
+            empty=holding(self.grids),
+            narrow=holding(self.grids),
+        )
+
+
+def sources_of(kernel: kir.Kernel) -> FactSources:
+    """What of the data the code of ``kernel`` depends on."""
+    found = list(expressions(kernel.body))
+    drawn = (kernel.relation for expr in found if isinstance(expr, kir.Random))
+    named = (target(expr.key.type) for expr in found if isinstance(expr, kir.RowId))
+    return FactSources(
+        keys=_once(e.field for e in found if isinstance(e, kir.ReadField) and isinstance(e.field.type.scalar, KeyType)),
+        numbered=_once((*drawn, *named)),
+        queried=_once(_queried(kernel)),
+        grids=_once(target(e.type) for e in found if isinstance(e, kir.Affine)),
+    )
+
+
+def facts_of(kernel: kir.Kernel) -> Facts:
+    """The facts of the data that ``kernel`` uses, now. The groupings that it queries are valid."""
+    sources = sources_of(kernel)
+    return sources.facts(sources.state())
+
+
+def target(key: Type) -> Relation:
+    """The relation that a key type refers to."""
+    assert isinstance(key.scalar, KeyType) and isinstance(key.scalar.target, Relation)
+    return key.scalar.target
+
+
+def _queried(kernel: kir.Kernel) -> Iterator[Field]:
+    yield from (expr.index for expr in expressions(kernel.body) if isinstance(expr, kir.QuerySize))
+    yield from (stmt.index for stmt in statements(kernel.body) if isinstance(stmt, kir.ForQuery))
+
+
+def _is_narrow(relation: Relation) -> bool:
+    pairs = zip(relation.shape, relation.periodic, strict=True)
+    return any(wraps and extent < REACH for extent, wraps in pairs)
+
+
+def _once(sources: Iterable[_Source]) -> tuple[_Source, ...]:
+    return tuple(dict.fromkeys(sources))

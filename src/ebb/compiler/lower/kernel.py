@@ -1,0 +1,91 @@
+"""A kernel as an LIR program: the loop over rows, and what stands around it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from ebb.compiler import kir, lir
+from ebb.compiler.kir_walk import expressions, statements
+from ebb.compiler.lower.bindings import variables
+from ebb.compiler.lower.context import Context, Launched, value_scalar
+from ebb.compiler.lower.facts import Facts
+from ebb.compiler.lower.keys import linear
+from ebb.compiler.lower.reductions import combine_partials, open_accumulators, reduced_globals, store_partials
+from ebb.compiler.lower.statements import bind, lower_body
+from ebb.compiler.phases.table import PhaseKind, PhaseTable
+from ebb.types.types import int64, uint64
+
+
+def lower(
+    kernel: kir.Kernel,
+    phases: PhaseTable,
+    unchecked: Iterable[kir.Affine],
+    facts: Facts,
+    launched: Launched,
+    precision: lir.Precision,
+) -> lir.Program:
+    """``kernel`` as LIR.
+
+    Args:
+        kernel: a checked kernel.
+        phases: of its fields and globals.
+        unchecked: its affine accesses that ``check_stencil`` checks before each launch.
+        facts: what holds of the data whenever the program runs.
+        launched: how the rows of the launches are given.
+        precision: what the optimiser may do to floats.
+    """
+    ctx = Context(kernel, phases, frozenset(unchecked), facts)
+    schedule = _schedule(ctx)
+    rows = lir.Rows.INDEPENDENT if schedule is lir.Schedule.PARALLEL else lir.Rows.IN_ORDER
+    reduced = reduced_globals(kernel)
+    block_number = ctx.build.temp(int64)
+    dimensions = kernel.relation.ndim if launched is Launched.BOXES else 1
+    index = tuple(ctx.build.temp(int64) for _ in range(dimensions))
+    with ctx.build.body() as block:
+        open_accumulators(ctx, reduced)
+        ctx.build.add(lir.RowLoop(index, rows, _row_body(ctx, index, launched)))
+        store_partials(ctx, block_number)
+    with ctx.build.body() as finish:
+        combine_partials(ctx, reduced)
+    return lir.Program(
+        name=kernel.name,
+        space=lir.Space.BOX if launched is Launched.BOXES else lir.Space.LINE,
+        dimensions=dimensions,
+        schedule=schedule,
+        precision=precision,
+        slots=tuple(ctx.slots.values()),
+        arguments=tuple(ctx.arguments.values()),
+        block_number=block_number,
+        block=tuple(block),
+        finish=tuple(finish),
+        sites=tuple(ctx.sites),
+        prints=tuple(ctx.prints),
+        print_words=ctx.print_words,
+    )
+
+
+def _schedule(ctx: Context) -> lir.Schedule:
+    """In order where rows reduce into other rows, whose sums would else depend on the threads, or where they print."""
+    if any(isinstance(stmt, kir.Print) for stmt in statements(ctx.kernel.body)):
+        return lir.Schedule.ORDERED
+    shared = any(phase.kind is PhaseKind.REDUCE for phase in ctx.phases.fields.values())
+    return lir.Schedule.ORDERED if shared else lir.Schedule.PARALLEL
+
+
+def _row_body(ctx: Context, index: tuple[lir.Temp, ...], launched: Launched) -> lir.Body:
+    b, kernel = ctx.build, ctx.kernel
+    with b.body() as body:
+        match launched:
+            case Launched.ALL:
+                ctx.row = index[0]
+            case Launched.LISTED:
+                ctx.row = b.load(ctx.slot(lir.LaunchPositions()), index[0])
+            case Launched.BOXES:
+                ctx.row = linear(ctx, kernel.relation, index)
+        for local in variables(kernel):
+            ctx.variables[local.uid] = b.declare(local.name, value_scalar(local.type.scalar), local.type.size)
+        if any(isinstance(expr, kir.Random) for expr in expressions(kernel.body)):
+            ctx.drawn = b.declare("drawn", uint64, 1)
+        bind(ctx, kernel.row, (ctx.row,))
+        lower_body(ctx, kernel.body)
+    return tuple(body)

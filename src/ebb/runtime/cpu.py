@@ -1,0 +1,148 @@
+"""The processor as a device: machine code is linked into the process and called, on one thread or many.
+
+The argument block is one array of 64-bit words by which the host hands a launch to the machine code: a header, the
+address of each slot, and each scalar argument in the low end of a word.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+
+from ebb.errors import BackendError
+from ebb.runtime.buffer import aligned_zeros
+from ebb.runtime.errors import NoMachineCode
+from ebb.runtime.symbols import external_symbols
+from ebb.runtime.threads import describe_threads, openmp, usable_threads
+
+THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, THREAD_COUNT, FAILURES = range(8)
+HEADER_WORDS = 8
+"""The header: how many threads, blocks and rows; the boxes of the blocks; OpenMP's entries; the failure records."""
+
+FAILURE_WORDS = 16
+"""A thread's failure record: the site + 1 (0: none), the block, the row's position, and the payload."""
+
+PAYLOAD_START = 3
+
+LAUNCH, SHARE, FINISH = "ebb_launch", "ebb_share", "ebb_finish"
+"""``i64 LAUNCH(block*)`` runs everything on the threads of OpenMP and returns 1 on failure. For other threads there are
+``void SHARE(block*, i64 thread, i64 threads)``, the blocks of one thread, and ``void FINISH(block*)``."""
+
+_links = itertools.count()
+
+
+class ArgumentBlock:
+    """The words that one launch hands over, and views of them by type. ``address`` never changes."""
+
+    __slots__ = ("address", "failures", "views", "words")
+
+    def __init__(self, words: int, threads: int) -> None:
+        self.words = aligned_zeros((words,), np.dtype(np.int64))
+        self.address = self.words.ctypes.data
+        raw = memoryview(self.words).cast("B")
+        self.views: dict[str, memoryview] = {code: raw.cast(code) for code in "qQiIdfB"}
+        self.failures = aligned_zeros((threads, FAILURE_WORDS), np.dtype(np.int64))
+        self.words[FAILURES] = self.failures.ctypes.data
+        runtime = openmp()
+        if runtime is not None:
+            self.words[[FORK, THREAD_NUMBER, THREAD_COUNT]] = runtime.fork, runtime.thread_number, runtime.thread_count
+
+    def take_failure(self) -> tuple[int, int, tuple[int, ...]]:
+        """The site, position and payload of the first failure in the order of rows; the records are cleared.
+
+        A thread's blocks are a stretch of all blocks, in order, and it stops at its first failure: so the first thread
+        that has failed knows the first failure, however many threads there are.
+        """
+        record = self.failures[int(np.argmax(self.failures[:, 0] != 0))].tolist()
+        self.failures.fill(0)
+        return record[0] - 1, record[2], tuple(record[PAYLOAD_START:])
+
+
+class CpuCode:
+    """Machine code in this process. It is unloaded with this object."""
+
+    __slots__ = ("_tracker", "finish", "launch", "name", "share")
+
+    def __init__(self, name: str, tracker: Any) -> None:
+        self.name = name
+        self._tracker = tracker
+        word, pointer = ctypes.c_int64, ctypes.c_void_p
+        self.launch: Callable[[int], int] = ctypes.CFUNCTYPE(word, pointer)(tracker[LAUNCH])
+        self.share: Callable[[int, int, int], None] = ctypes.CFUNCTYPE(None, pointer, word, word)(tracker[SHARE])
+        self.finish: Callable[[int], None] = ctypes.CFUNCTYPE(None, pointer)(tracker[FINISH])
+
+
+class CpuDevice:
+    """This machine's processor.
+
+    Attributes:
+        threads: how many threads a launch may use.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self.threads = threads
+        self.name = "cpu"
+        self._lock = threading.Lock()
+
+    def load(self, name: str, image: bytes) -> CpuCode:
+        """Links the object code ``image`` into the process.
+
+        Raises:
+            BackendError: it cannot be linked.
+        """
+        builder = llvm.JITLibraryBuilder().add_object_img(image)
+        for symbol, address in external_symbols().items():
+            builder.import_symbol(symbol, address)
+        for entry in (LAUNCH, SHARE, FINISH):
+            builder.export_symbol(entry)
+        try:
+            return CpuCode(name, builder.link(_linker(), f"{name}.{next(_links)}"))
+        except RuntimeError as error:
+            raise BackendError(NoMachineCode(llvm.get_process_triple(), str(error))) from error
+
+    def launch(self, code: CpuCode, block: ArgumentBlock, shares: int) -> bool:
+        """Runs ``code`` over its blocks of rows, which at most ``shares`` threads share.
+
+        Returns:
+            Whether some row failed.
+        """
+        threads = usable_threads(min(self.threads, shares))
+        with self._lock:
+            block.views["q"][THREADS] = threads
+            if threads == 1 or block.views["q"][FORK]:
+                return code.launch(block.address) != 0
+            return _launch_on_python_threads(code, block, threads)
+
+    def describe(self) -> str:
+        """The processor and how it runs threads, in words."""
+        return f"{llvm.get_host_cpu_name()}, {self.threads} threads by {describe_threads()}"
+
+
+def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int) -> bool:
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda thread: code.share(block.address, thread, threads), range(threads)))
+    if block.failures[:, 0].any():
+        return True
+    code.finish(block.address)
+    return False
+
+
+class _Linker:
+    """LLVM's linker of this process, made on first use."""
+
+    instance: Any = None
+
+
+def _linker() -> Any:
+    if _Linker.instance is None:
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        _Linker.instance = llvm.create_lljit_compiler()
+    return _Linker.instance

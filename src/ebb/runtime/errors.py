@@ -1,0 +1,98 @@
+"""What can be wrong with backends, their options and the tools they need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, ClassVar
+
+from ebb.diagnostics.diagnostic import Diagnostic
+
+
+@dataclass(frozen=True)
+class UnknownBackend(Diagnostic):
+    """There is no backend of that name."""
+
+    code: ClassVar[str] = "E601"
+    name: str
+    known: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        return f"there is no backend '{self.name}'"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (f"there are {', '.join(self.known)}",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        close = get_close_matches(self.name, self.known, n=1)
+        return (f"did you mean '{close[0]}'?",) if close else (f'choose one: ebb.set_backend("{self.known[0]}")',)
+
+
+@dataclass(frozen=True)
+class UnknownBackendOption(Diagnostic):
+    """A backend does not take an option."""
+
+    code: ClassVar[str] = "E602"
+    backend: str
+    option: str
+    accepted: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        return f"the backend '{self.backend}' has no option '{self.option}'"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        if not self.accepted:
+            return ("it has no options",)
+        return (f"its options are {', '.join(self.accepted)}",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        close = get_close_matches(self.option, self.accepted, n=1)
+        return (f"did you mean '{close[0]}'?",) if close else ("leave it out",)
+
+
+@dataclass(frozen=True)
+class BadThreadCount(Diagnostic):
+    """The number of threads is no whole number from 1 on."""
+
+    code: ClassVar[str] = "E603"
+    source: str
+    value: Any
+    most: int
+
+    @property
+    def title(self) -> str:
+        return f"{self.source} is {self.value!r}, which is no number of threads"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (f"a number of threads is a whole number from 1 to {self.most}",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("leave it out to use all cores",)
+
+
+@dataclass(frozen=True)
+class NoMachineCode(Diagnostic):
+    """LLVM cannot generate code for this machine."""
+
+    code: ClassVar[str] = "E604"
+    machine: str
+    reason: str
+
+    @property
+    def title(self) -> str:
+        return f"LLVM cannot compile for this machine, {self.machine}: {self.reason}"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (
+            "install an llvmlite for this machine: pip install --upgrade llvmlite",
+            'run without compiling: ebb.set_backend("reference")',
+        )
