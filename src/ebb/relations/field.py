@@ -66,6 +66,11 @@ class Field:
         return self._buffer.host
 
     @property
+    def address(self) -> int:
+        """Where ``data`` begins. It changes when ``data`` is replaced."""
+        return self._buffer.address
+
+    @property
     def target(self) -> Relation | None:
         """The relation that the field's keys refer to, None where it holds no keys."""
         return target_of(self.type)

@@ -17,13 +17,14 @@ class Buffer:
     """A block of memory of a fixed shape and dtype, zero at first.
 
     ``host`` is the copy that the host reads and writes: C-contiguous and aligned to ``ALIGNMENT`` bytes. Its address is
-    fixed for the life of the buffer.
+    fixed for the life of the buffer; ``address`` is that of the host's copy.
     """
 
-    __slots__ = ("host",)
+    __slots__ = ("address", "host")
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         self.host: Array = aligned_zeros(shape, dtype)
+        self.address: int = self.host.ctypes.data
 
     @property
     def nbytes(self) -> int:
