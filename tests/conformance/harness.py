@@ -74,3 +74,46 @@ def rejects(exception, code, run):
 def names_row(error, *indices):
     """Whether the message of ``error`` names the row with these indices: ``row cells[2, 3]``, or ``row 2``."""
     return re.search(rf"row (\w+\[)?{', '.join(map(str, indices))}\b", str(error)) is not None
+
+
+def offset_member(cells):
+    """Adds ``c(1, 0)`` and the like to a grid of any dimension."""
+    if cells.ndim == 1:
+
+        @cells.member("__call__")
+        def offset(c, i):
+            return ebb.affine(cells, [[1, i]], c)
+
+    elif cells.ndim == 2:
+
+        @cells.member("__call__")
+        def offset2(c, i, j):
+            return ebb.affine(cells, [[1, 0, i], [0, 1, j]], c)
+
+    else:
+
+        @cells.member("__call__")
+        def offset3(c, i, j, k):
+            return ebb.affine(cells, [[1, 0, 0, i], [0, 1, 0, j], [0, 0, 1, k]], c)
+
+
+def grid(shape, periodic=None, name="cells"):
+    cells = ebb.Relation(name, shape=shape, periodic=periodic or (False,) * len(shape))
+    cells.new_field("x", ebb.float64, init=np.arange(np.prod(shape), dtype=float).reshape(shape) ** 2)
+    cells.new_field("y", ebb.float64, init=-1.0)
+    offset_member(cells)
+    return cells
+
+
+def graph(vertex_count, edge_count, seed=0):
+    """Random edges between random vertices, with int weights, so that sums are exact."""
+    generator = np.random.default_rng(seed)
+    vertices = ebb.Relation("vertices", size=vertex_count)
+    edges = ebb.Relation("edges", size=edge_count)
+    ends = generator.integers(0, max(vertex_count, 1), (edge_count, 2))
+    edges.new_field("tail", vertices, init=ends[:, 0])
+    edges.new_field("head", vertices, init=ends[:, 1])
+    weight = generator.integers(-50, 50, edge_count)
+    edges.new_field("w", ebb.int32, init=weight)
+    edges.new_field("x", ebb.float64, init=weight / 8)
+    return vertices, edges, ends, weight
