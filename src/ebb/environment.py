@@ -6,7 +6,6 @@ import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -31,7 +30,7 @@ def describe_environment() -> tuple[tuple[str, str], ...]:
         ("python", f"{platform.python_version()} on {platform.platform()}"),
         ("numpy", np.__version__),
         ("llvmlite", version("llvmlite")),
-        ("llvm", _llvm_version()),
+        ("llvm", ".".join(map(str, llvm.llvm_version_info))),
         ("processor", _processor()),
         ("threads", _threads()),
         ("cache", _cache()),
@@ -40,13 +39,8 @@ def describe_environment() -> tuple[tuple[str, str], ...]:
     )
 
 
-def _llvm_version() -> str:
-    parts: Any = llvm.llvm_version_info
-    return ".".join(map(str, parts))
-
-
 def _processor() -> str:
-    features: Any = llvm.get_host_cpu_features()  # llvmlite has no types
+    features = llvm.get_host_cpu_features()
     widest = next((label for name, label in _VECTOR_FEATURES if features.get(name)), "no vector instructions known")
     return f"{llvm.get_host_cpu_name()}, {widest}, {os.cpu_count()} cores"
 
