@@ -177,6 +177,19 @@ def test_a_chain_of_sorted_relations_settles_in_any_order() -> None:
     assert groups(cells.group) == expected([1, 0, 1], 3)
 
 
+def test_refreshing_one_index_leaves_another_valid() -> None:
+    pixels, vertices, cells = Relation("pixels", shape=(6,)), Relation("vertices", size=4), Relation("cells", size=3)
+    pixels.new_field("vertex", vertices, init=TAILS)
+    vertices.new_field("cell", cells, init=[2, 0, 1, 0])
+    pixels.group_by("vertex")
+    vertices.group_by("cell")
+    vertices.permute([3, 2, 1, 0])
+    pixels.vertex.grouping.refresh()
+    vertices.cell.grouping.refresh()
+    assert not pixels.vertex.grouping.stale
+    assert groups(pixels.vertex) == expected(TAILS, 4)
+
+
 def test_a_relation_grouped_by_its_own_rows_is_not_sorted() -> None:
     trees = Relation("trees", size=5)
     trees.new_field("parent", trees, init=[1, 2, 0, 0, 3])

@@ -58,20 +58,18 @@ class Grouping:
 
     def build(self) -> None:
         """Builds the index, whether or not it is stale; ``refresh`` decides that."""
-        relation = self.field.relation
-        keys = self.field.data
+        relation, keys = self.field.relation, self.field.data
+        self.rows = None
         if not _sorted(keys, relation.storage.order):
             rank = relation.storage.rank
             # Equal keys stay in the order in which they are given: that of identities.
             order = np.argsort(keys, kind="stable") if rank is None else rank[np.argsort(keys[rank], kind="stable")]
             if self.orders_storage:
                 relation.permute(order)
-                self.rows = None
             else:
                 self.rows = order
-        else:
-            self.rows = None
-        counts = np.bincount(np.add(keys, 1, dtype=np.int64), minlength=self.target.size + 1)
+        # Counted in storage order, and so sequentially where that is sorted. Unset keys, -1, come first.
+        counts = np.bincount(np.add(self.field.data, 1, dtype=np.int64), minlength=self.target.size + 1)
         self.offsets = np.cumsum(counts, dtype=np.int64)
         self._built = self._state()
 

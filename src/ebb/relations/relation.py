@@ -247,7 +247,7 @@ class Relation:
             field.permute(moves)
         for field in self.storage.referrers:
             field.retarget(moved)
-        self.storage.reorder(moves)
+        self.storage.reorder(moves, moved)
 
     # Python's own
 

@@ -49,10 +49,10 @@ class Storage:
             return positions
         return through_table(self.order, positions).astype(positions.dtype)
 
-    def reorder(self, order: Rows) -> None:
-        """Records that the row at position ``order[p]`` has moved to ``p``."""
+    def reorder(self, order: Rows, moved: Rows) -> None:
+        """Records that the row at position ``order[p]`` has moved to ``p``; ``moved`` is the inverse of ``order``."""
         self.order = order.copy() if self.order is None else self.order[order]
-        self.rank = inverse(self.order)
+        self.rank = moved if self.rank is None else moved[self.rank]
         self.version += 1
 
 
