@@ -175,8 +175,7 @@ def _masked_keys(array: Masked, place: Place) -> Array:
         raise RelationError(WrongKind(place.name, repr(place.type), "masked values, which only keys have", None, None))
     mask = np.ma.getmaskarray(array)
     if target.size == 0 and mask.all() and any(array.shape == shape for _, shape in place.shapes()):
-        unset: Array = np.full(mask.shape[:-1] if target.is_grid else mask.shape, -1, place.type.dtype)
-        return unset
+        return np.full_like(mask[..., 0] if target.is_grid else mask, -1, dtype=place.type.dtype)
     keys = converted(array.filled(0), place).copy()
     keys[mask.any(axis=-1) if target.is_grid else mask] = -1
     return keys
