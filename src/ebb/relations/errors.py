@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from ebb.diagnostics.diagnostic import Diagnostic
 
@@ -219,7 +219,7 @@ class TypeMismatch(Diagnostic):
     """Two fields whose types differ, or cannot be converted."""
 
     code: ClassVar[str] = "E510"
-    action: str
+    action: Literal["swap", "copy", "load"]
     left: str
     left_type: str
     right: str
@@ -227,7 +227,8 @@ class TypeMismatch(Diagnostic):
 
     @property
     def title(self) -> str:
-        return f"cannot {self.action} '{self.left}' and '{self.right}': their types differ"
+        joined = {"swap": "and", "copy": "to", "load": "from"}[self.action]
+        return f"cannot {self.action} '{self.left}' {joined} '{self.right}': their types differ"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -304,7 +305,7 @@ class BadSubset(Diagnostic):
 
     @property
     def title(self) -> str:
-        return f"subset '{self.subset}' selects no rows: {self.problem}"
+        return f"subset '{self.subset}' cannot be selected: {self.problem}"
 
     @property
     def hints(self) -> tuple[str, ...]:
@@ -317,13 +318,13 @@ class SubsetOutOfRange(Diagnostic):
 
     code: ClassVar[str] = "E515"
     subset: str
-    entry: int
-    value: str
+    part: str
+    row: str
     shape: tuple[int, ...]
 
     @property
     def title(self) -> str:
-        return f"entry {self.entry} of subset '{self.subset}' is row {self.value}, which does not exist"
+        return f"{self.part} of subset '{self.subset}' is {self.row}, which does not exist"
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from keyword import iskeyword
 from math import prod
 from types import MappingProxyType
-from typing import Any, TypeAlias, cast, overload
+from typing import Any, Literal, TypeAlias, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -290,7 +290,7 @@ class Relation:
             self.storage.primary = primary
             raise
 
-    def _pair(self, action: str, a: str | Field, b: str | Field) -> tuple[Field, Field]:
+    def _pair(self, action: Literal["swap", "copy"], a: str | Field, b: str | Field) -> tuple[Field, Field]:
         left, right = self._own(a), self._own(b)
         left.check_no_view()
         right.check_no_view()

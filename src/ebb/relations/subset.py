@@ -167,7 +167,7 @@ def _listed(relation: Relation, path: str, array: Array) -> Rows:
     if bad.any():
         entry = int(bad.argmax())
         shape = relation.shape if tuples else (relation.size,)
-        raise RelationError(SubsetOutOfRange(path, entry, str(_listed_row(array[entry])), shape))
+        raise RelationError(SubsetOutOfRange(path, f"entry {entry}", f"row {_listed_row(array[entry])}", shape))
     if tuples:
         array = np.asarray(np.ravel_multi_index(tuple(array.astype(np.int64).T), relation.shape))
     return np.unique(array.astype(np.int64))
@@ -234,7 +234,7 @@ def _range(path: str, item: slice | int, extent: int, axis: int, shape: tuple[in
     if not isinstance(item, slice):
         index = int(item) + (extent if item < 0 else 0)
         if not 0 <= index < extent:
-            raise RelationError(SubsetOutOfRange(path, axis, str(item), shape))
+            raise RelationError(SubsetOutOfRange(path, f"dimension {axis}", f"index {item}", shape))
         return range(index, index + 1)
     try:
         found = range(extent)[item]
