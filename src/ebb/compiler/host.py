@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import CellType
 from typing import Any, TypeAlias
 
@@ -35,7 +35,7 @@ class HostGlobal:
     """A global variable of the module that defines the kernel."""
 
     name: str
-    namespace: Mapping[str, Any]
+    namespace: Mapping[str, Any] = field(repr=False)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, HostGlobal) and other.name == self.name and other.namespace is self.namespace

@@ -1,0 +1,187 @@
+"""Names: which are locals of a function, what the others are outside, and which locals surely have a value."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from ebb.compiler import kir
+from ebb.compiler.elaborate.source import SourceFunction
+from ebb.compiler.elaborate.values import Value
+from ebb.compiler.host import HostCell, HostConst, HostExpr, HostGlobal
+from ebb.diagnostics.span import Span
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A local that holds a value of one type."""
+
+    local: kir.Local
+    span: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A local that is known when the kernel is compiled: an argument put in its place, a query, an unrolled variable."""
+
+    value: Value
+    span: Span
+
+
+@dataclass(slots=True)
+class Stores:
+    """How often the names of one function are assigned: in all, by ``=`` and by ``for``; and where first."""
+
+    count: Counter[str] = field(default_factory=Counter[str])
+    plain: Counter[str] = field(default_factory=Counter[str])
+    loops: Counter[str] = field(default_factory=Counter[str])
+    first: dict[str, ast.Name] = field(default_factory=dict[str, ast.Name])
+
+
+@dataclass(slots=True)
+class Loop:
+    """A loop around the statements being elaborated.
+
+    ``breaks`` and ``continues`` are the names that surely have values at each. An unrolled loop is left by labels.
+    """
+
+    breaks: list[frozenset[str]] = field(default_factory=list[frozenset[str]])
+    continues: list[frozenset[str]] = field(default_factory=list[frozenset[str]])
+    end: kir.Label | None = None
+    turn: kir.Label | None = None
+
+
+@dataclass(slots=True)
+class Returns:
+    """The returns of a function: where they lead, and what they give.
+
+    ``nested``: some return is not the last statement, so that it must leave a block. ``values`` has for each whether it is
+    written as a tuple, the value, and the place.
+    """
+
+    label: kir.Label
+    nested: bool
+    used: bool = False
+    values: list[tuple[bool, Value | None, Span]] = field(default_factory=list[tuple[bool, "Value | None", Span]])
+
+
+@dataclass(slots=True)
+class Frame:
+    """A function being elaborated: the kernel, or a func or member that is inlined into it.
+
+    Attributes:
+        locals: the names that are local to it.
+        live: the names that surely have a value here; None where no way leads here.
+    """
+
+    source: SourceFunction
+    title: str
+    stores: Stores
+    locals: frozenset[str]
+    returns: Returns
+    parent: Frame | None = None
+    call: Span | None = None
+    bindings: dict[str, Variable | Bound] = field(default_factory=dict[str, "Variable | Bound"])
+    live: frozenset[str] | None = frozenset()
+    lost: dict[str, str] = field(default_factory=dict[str, str])
+    loops: list[Loop] = field(default_factory=list[Loop])
+
+    def bind(self, name: str, binding: Variable | Bound) -> None:
+        self.bindings[name] = binding
+        self.mark(name)
+
+    def mark(self, name: str) -> None:
+        """Says that ``name`` has a value from here on."""
+        if self.live is not None:
+            self.live |= {name}
+
+    def once(self, name: str) -> bool:
+        """Whether ``name`` is bound in one place of the function only, a parameter by its call."""
+        return self.stores.count[name] + (name in parameter_names(self.source.node)) == 1
+
+    def only_loops(self, name: str) -> bool:
+        """Whether ``name`` is bound by ``for`` alone."""
+        return self.stores.count[name] == self.stores.loops[name] and name not in parameter_names(self.source.node)
+
+
+def meet(states: list[frozenset[str] | None]) -> frozenset[str] | None:
+    """The names that surely have values where several ways meet."""
+    reached = [state for state in states if state is not None]
+    return frozenset.intersection(*reached) if reached else None
+
+
+def parameter_names(node: ast.FunctionDef) -> list[str]:
+    return [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
+
+
+def find_stores(node: ast.FunctionDef) -> Stores:
+    """How the body of a function assigns names; parts of a local (``x[0] = e``) count as the local."""
+    stores = Stores()
+    for statement in _statements(node.body):
+        match statement:
+            case ast.Assign(targets=targets):
+                for target in targets:
+                    _add(stores, target, stores.plain)
+            case ast.AnnAssign(target=target, value=value) if value is not None:
+                _add(stores, target, stores.plain)
+            case ast.AugAssign(target=target):
+                _add(stores, target, None)
+            case ast.For(target=target):
+                _add(stores, target, stores.loops)
+            case _:
+                pass
+    return stores
+
+
+def raw_lookup(source: SourceFunction, name: str) -> tuple[HostExpr, Any] | None:
+    """What ``name`` is outside the function now, or None where it is nothing (yet)."""
+    if name in source.cells:
+        cell = source.cells[name]
+        try:
+            return HostCell(name, cell), cell.cell_contents
+        except ValueError:
+            return None
+    if name in source.namespace:
+        return HostGlobal(name, source.namespace), source.namespace[name]
+    if name in source.builtins:
+        found = source.builtins[name]
+        return HostConst(found), found
+    return None
+
+
+def visible_names(frame: Frame) -> tuple[str, ...]:
+    """The names that can be used in a function, to suggest one of them."""
+    source = frame.source
+    return tuple(
+        dict.fromkeys((*frame.bindings, *source.cells, *source.namespace, "range", "len", "min", "max", "abs"))
+    )
+
+
+def _add(stores: Stores, target: ast.expr, kind: Counter[str] | None) -> None:
+    match target:
+        case ast.Tuple(elts=elements) | ast.List(elts=elements):
+            for element in elements:
+                _add(stores, element, kind)
+        case ast.Name(id=name):
+            stores.count[name] += 1
+            stores.first.setdefault(name, target)
+            if kind is not None:
+                kind[name] += 1
+        case ast.Subscript(value=base):
+            _add(stores, base, None)
+        case ast.Attribute(value=base, attr="x" | "y" | "z" | "w"):
+            _add(stores, base, None)
+        case _:
+            pass
+
+
+def _statements(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+    for statement in body:
+        yield statement
+        for name in ("body", "orelse"):
+            inner = getattr(statement, name, [])
+            if not isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+                yield from _statements(inner)

@@ -1,0 +1,156 @@
+"""From a function to its source: the one place where Ebb looks at how Python keeps programs."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import linecache
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from types import CellType, CodeType, FunctionType
+from typing import Any
+
+from ebb.compiler.elaborate.errors import NotAFunction, SourceChanged, SourceNotFound
+from ebb.diagnostics.span import Source, Span
+from ebb.errors import KernelSyntaxError
+
+
+@dataclass(frozen=True, eq=False)
+class SourceFunction:
+    """A function as it is written, and the names around it.
+
+    Attributes:
+        node: its definition in the syntax tree of the whole file, so that line numbers are those of the file.
+        cells: the variables of enclosing functions that it captures.
+        namespace: the globals of its module.
+        locals: what the frame that decorated it had, for annotations that Python keeps as text.
+    """
+
+    name: str
+    function: FunctionType
+    node: ast.FunctionDef
+    source: Source
+    cells: Mapping[str, CellType]
+    namespace: Mapping[str, Any]
+    locals: Mapping[str, Any] = field(repr=False)
+
+    @cached_property
+    def _lines(self) -> list[str]:
+        return self.source.text.split("\n")
+
+    def span(self, node: ast.AST, caller: Span | None = None) -> Span:
+        """Where ``node`` stands. The columns of ``ast`` count UTF-8 bytes, those of spans characters."""
+        line, end_line = node.lineno, node.end_lineno or node.lineno  # type: ignore[attr-defined]
+        column, end_column = node.col_offset, node.end_col_offset  # type: ignore[attr-defined]
+        return Span(self.source, line, self._column(line, column), end_line, self._column(end_line, end_column), caller)
+
+    def _column(self, line: int, byte: int) -> int:
+        text = self._lines[line - 1] if line <= len(self._lines) else ""
+        return byte if text.isascii() else len(text.encode()[:byte].decode(errors="ignore"))
+
+    @property
+    def builtins(self) -> Mapping[str, Any]:
+        """The builtin names that the function sees."""
+        found = self.namespace.get("__builtins__", builtins)
+        return found if isinstance(found, dict) else vars(found)
+
+
+def find_source(
+    function: Any, text: str | None = None, frame_locals: Mapping[str, Any] | None = None
+) -> SourceFunction:
+    """Finds how ``function`` is written.
+
+    Args:
+        function: a Python function written with ``def``.
+        text: the text that defines it, for functions whose source Python does not keep.
+        frame_locals: the locals of the frame that decorated it.
+
+    Raises:
+        KernelSyntaxError: it is no such function, there is no source, or the source is not that function's.
+    """
+    if not isinstance(function, FunctionType):
+        raise KernelSyntaxError(NotAFunction(function))
+    code = function.__code__
+    if function.__name__ == "<lambda>" or code.co_name == "<lambda>" or code.co_flags & _COROUTINE:
+        raise KernelSyntaxError(NotAFunction(function))
+    given = text is not None
+    if text is None:
+        text = _kept_source(code, function.__globals__)
+    if not text:
+        raise KernelSyntaxError(SourceNotFound(function.__name__, code.co_filename))
+    node, source = _locate(code, text, given)
+    cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
+    return SourceFunction(code.co_name, function, node, source, cells, function.__globals__, frame_locals or {})
+
+
+@lru_cache(maxsize=512)
+def source_of(function: Any) -> SourceFunction:
+    """``find_source`` of a function that is looked up again and again, such as a member's."""
+    return find_source(function)
+
+
+_COROUTINE = 0x80 | 0x200  # CO_COROUTINE, CO_ASYNC_GENERATOR
+
+
+def _kept_source(code: CodeType, namespace: Mapping[str, Any]) -> str:
+    # linecache knows files, archives and loaders (through the globals), and the cells of notebooks.
+    lines = linecache.getlines(code.co_filename, dict(namespace))
+    if lines:
+        return "".join(lines)
+    return _redirected_input() if code.co_filename == "<stdin>" else ""
+
+
+def _redirected_input() -> str:
+    """The program itself, where it is a file that was redirected to standard input: ``python < program.py``."""
+    try:
+        status = os.fstat(0)
+        if not stat.S_ISREG(status.st_mode):
+            return ""
+        return os.pread(0, status.st_size, 0).decode()
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def _locate(code: CodeType, text: str, given: bool) -> tuple[ast.FunctionDef, Source]:
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    try:
+        tree = _parse(text)
+    except SyntaxError as error:
+        raise KernelSyntaxError(_changed(code, f"its line {error.lineno} is no Python")) from error
+    named = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name == code.co_name]
+    found = [node for node in named if _first_line(node) == code.co_firstlineno]
+    if given and not found:  # the text may be a part of what was run, so that its lines are numbered otherwise
+        found = named
+    if len(found) != 1:
+        reason = "there is no such function" if not found else f"there are {len(found)} functions of that name"
+        raise KernelSyntaxError(_changed(code, reason))
+    _check_parameters(code, found[0])
+    return found[0], Source(code.co_filename, text)
+
+
+def _check_parameters(code: CodeType, node: ast.FunctionDef) -> None:
+    names = [each.arg for each in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+    count = code.co_argcount + code.co_kwonlyargcount
+    if list(code.co_varnames[:count]) != names:
+        raise KernelSyntaxError(_changed(code, "its parameters differ"))
+
+
+def _changed(code: CodeType, reason: str) -> SourceChanged:
+    return SourceChanged(code.co_name, code.co_filename, code.co_firstlineno, reason)
+
+
+def _first_line(node: ast.FunctionDef) -> int:
+    return min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+
+
+@lru_cache(maxsize=64)
+def _parse(text: str) -> ast.Module:
+    try:
+        return ast.parse(text)
+    except IndentationError:
+        # The text of an indented function: below a condition it is a program, one line further down.
+        tree = ast.parse(f"if True:\n{text}")
+        return ast.increment_lineno(tree, -1)  # type: ignore[return-value]
