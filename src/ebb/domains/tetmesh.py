@@ -182,7 +182,8 @@ class TetMesh:
             mesh = mesh_data(surface, () if triangles is None else triangles, 3, "triangles")
             check_rows(mesh, "triangle")
             points, cells = mesh.points, mesh.cells
-        return cls(fill_surface(points, cells.astype(np.int64), resolution), self_edges=self_edges)
+        solid = fill_surface(points.astype(np.float64), cells.astype(np.int64), resolution)
+        return cls(solid, self_edges=self_edges)
 
     def embed(self, points: npt.ArrayLike) -> tuple[Integers, Floats]:
         """Place points in the mesh: the tetrahedron that holds each, or comes nearest, and barycentric weights there.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from difflib import get_close_matches
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 import ebb
 from ebb.domains.io.data import MeshData
@@ -73,24 +73,32 @@ def write_mesh(
     place = _own_field(name, vertices, cells, "pos" if positions is None else positions)
     if place.relation is not vertices or place.type.shape != (3,):
         raise MeshFormatError(Unsavable(name, f"{place.relation.name}.{place.name} is no vector of 3 at each vertex"))
-    points = place.to_numpy().astype(np.float64)
+    points = place.to_numpy()
+    if points.dtype.kind != "f":
+        points = points.astype(np.float64)
     chosen = [_own_field(name, vertices, cells, field) for field in fields]
     data = {relation: {f.name: _values(f) for f in chosen if f.relation is relation} for relation in (vertices, cells)}
-    _write(name, replace(mesh, points=points), data[vertices], data[cells])
+    _write(name, points, mesh, data[vertices], data[cells])
 
 
-def _write(name: str, mesh: MeshData, point_data: Mapping[str, Any], cell_data: Mapping[str, Any]) -> None:
+def _write(
+    name: str,
+    points: npt.NDArray[np.floating[Any]],
+    mesh: MeshData,
+    point_data: Mapping[str, Any],
+    cell_data: Mapping[str, Any],
+) -> None:
     kind = {3: "triangle", 4: "tetra"}[mesh.cells.shape[1]]
     suffix = Path(name).suffix.lower()
     if suffix not in (".off", ".veg"):
-        return write_meshio(name, mesh.points, kind, mesh.cells, point_data, cell_data)
+        return write_meshio(name, points, kind, mesh.cells, point_data, cell_data)
     if point_data or cell_data:
         raise MeshFormatError(Unsavable(name, f"{suffix} files hold no fields; .vtu files do"))
     match suffix, kind:
         case ".off", "triangle":
-            return write_off(name, mesh.points, mesh.cells)
+            return write_off(name, points, mesh.cells)
         case ".veg", "tetra":
-            return write_veg(name, mesh)
+            return write_veg(name, points, mesh)
         case _:
             raise MeshFormatError(Unsavable(name, f"{suffix} files do not hold cells of the type {kind!r}"))
 

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ebb.diagnostics.span import Source
-from ebb.domains.io.data import Floats, Integers, MeshData, Origin
+from ebb.domains.io.data import Integers, MeshData, Origin
 from ebb.domains.io.errors import MissingMeshio, UnknownFormat, UnreadableFile, Unsavable
 from ebb.errors import BackendError, MeshFormatError
 
@@ -47,7 +48,7 @@ def read_meshio(path: str | PathLike[str], cell_type: str) -> MeshData:
 
 def write_meshio(
     path: str | PathLike[str],
-    points: Floats,
+    points: npt.NDArray[np.floating[Any]],
     cell_type: str,
     cells: Integers,
     point_data: Mapping[str, Any],

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ebb.domains.io.data import Floats, Integers, MeshData, Origin
+from ebb.domains.io.data import Integers, MeshData, Origin
 from ebb.domains.io.errors import UnreadableFile
 from ebb.domains.io.text import Lines
 from ebb.errors import MeshFormatError
@@ -40,14 +42,14 @@ def read_off(path: str | PathLike[str]) -> MeshData:
     return MeshData(points, faces, origin)
 
 
-def write_off(path: str | PathLike[str], points: Floats, triangles: Integers) -> None:
+def write_off(path: str | PathLike[str], points: npt.NDArray[np.floating[Any]], triangles: Integers) -> None:
     """Write a surface of triangles; coordinates keep all their digits.
 
     Raises:
         MeshFormatError: the file cannot be written (E701).
     """
     text = [f"OFF\n{len(points)} {len(triangles)} 0"]
-    text += [" ".join(map(repr, row)) for row in points.tolist()]
+    text += [f"{x!s} {y!s} {z!s}" for x, y, z in points]
     text += [f"3 {i} {j} {k}" for i, j, k in triangles.tolist()]
     write_text(path, text)
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from os import PathLike
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ebb.domains.io.data import Floats, Integers, Material, MeshData, Origin, Region
 from ebb.domains.io.errors import IndexOutOfRange
@@ -58,14 +60,14 @@ def read_veg(path: str | PathLike[str]) -> MeshData:
     return MeshData(parts.points, parts.cells, origin, tuple(parts.materials.values()), tuple(parts.regions))
 
 
-def write_veg(path: str | PathLike[str], mesh: MeshData) -> None:
-    """Write tetrahedra, and materials and regions where there are some; coordinates keep all their digits.
+def write_veg(path: str | PathLike[str], points: npt.NDArray[np.floating[Any]], mesh: MeshData) -> None:
+    """Write the tetrahedra of ``mesh`` at ``points``, and materials and regions where there are some; coordinates keep all their digits.
 
     Raises:
         MeshFormatError: the file cannot be written (E701).
     """
-    text = ["*VERTICES", f"{len(mesh.points)} 3 0 0"]
-    text += [f"{i} {x!r} {y!r} {z!r}" for i, (x, y, z) in enumerate(mesh.points.tolist(), start=1)]
+    text = ["*VERTICES", f"{len(points)} 3 0 0"]
+    text += [f"{i} {x!s} {y!s} {z!s}" for i, (x, y, z) in enumerate(points, start=1)]
     text += ["", "*ELEMENTS", "TET", f"{len(mesh.cells)} 4 0"]
     text += [f"{i} {a} {b} {c} {d}" for i, (a, b, c, d) in enumerate((mesh.cells + 1).tolist(), start=1)]
     for material in mesh.materials:
