@@ -61,7 +61,7 @@ def read_veg(path: str | PathLike[str]) -> MeshData:
 
 
 def write_veg(path: str | PathLike[str], points: npt.NDArray[np.floating[Any]], mesh: MeshData) -> None:
-    """Write the tetrahedra of ``mesh`` at ``points``, with its materials and regions; coordinates keep all their digits.
+    """Write the tetrahedra of ``mesh`` at ``points``, with materials and regions; coordinates keep all their digits.
 
     Raises:
         MeshFormatError: the file cannot be written (E701).
