@@ -41,7 +41,9 @@ class PrintBuffer:
         for record in records[np.argsort(records[:, 1], kind="stable")]:
             print(self._line(self._prints[int(record[0])], record[lir.PRINT_HEADER :]))
         if count > kept:
-            print(f"... and {count - kept} more lines of kernel '{self._kernel.name}', which keeps {self._lines} a launch")
+            print(
+                f"... and {count - kept} more lines of kernel '{self._kernel.name}', which keeps {self._lines} a launch"
+            )
         self._words[_COUNTER] = 0
 
     def _line(self, stmt: kir.Print, words: Any) -> str:

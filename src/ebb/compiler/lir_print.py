@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from ebb.compiler import lir
+from ebb.types.types import int64
 
 _INDENT = "  "
 
@@ -133,10 +134,12 @@ def _operation(operation: lir.Operation) -> str:  # noqa: C901 - one case a kind
 
 
 def value(operand: lir.Value) -> str:
-    """A temporary by its number, a literal with its type where Python's spelling does not tell."""
+    """A temporary by its number, a literal with its type unless that is int64, as indices are."""
     match operand:
         case lir.Temp():
             return _temp(operand)
+        case lir.Literal(literal, scalar) if scalar == int64:
+            return repr(literal)
         case lir.Literal(literal, scalar):
             return f"{literal!r}:{scalar!r}"
 

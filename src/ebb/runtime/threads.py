@@ -88,7 +88,9 @@ def openmp() -> OpenMP | None:
     for path in _candidates():
         try:
             library = ctypes.CDLL(path)
-            entries = [_address(library, name) for name in ("GOMP_parallel", "omp_get_thread_num", "omp_get_num_threads")]
+            entries = [
+                _address(library, name) for name in ("GOMP_parallel", "omp_get_thread_num", "omp_get_num_threads")
+            ]
         except (OSError, AttributeError):
             continue
         return OpenMP(path, *entries)

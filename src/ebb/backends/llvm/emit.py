@@ -117,7 +117,9 @@ class _Emitter:
         return self.w.emit(f"getelementptr inbounds {ops.memory_type(slot.type)}, ptr %slot{slot.number}, i64 {index}")
 
     def component(self, var: lir.Var, index: str) -> str:
-        return self.w.emit(f"getelementptr inbounds {ops.llvm_type(var.type)}, ptr {self.vars[var.number]}, i64 {index}")
+        return self.w.emit(
+            f"getelementptr inbounds {ops.llvm_type(var.type)}, ptr {self.vars[var.number]}, i64 {index}"
+        )
 
     def group(self) -> str:
         return f", !llvm.access.group {self.access_group}" if self.access_group else ""

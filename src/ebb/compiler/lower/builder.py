@@ -96,9 +96,14 @@ class Builder:
     def convert(self, value: lir.Value, scalar: ScalarType) -> lir.Value:
         if value.type == scalar:
             return value
-        if isinstance(value, lir.Literal) and value.type.kind is Kind.SIGNED and scalar.kind in (
-            Kind.SIGNED,
-            Kind.FLOAT,
+        if (
+            isinstance(value, lir.Literal)
+            and value.type.kind is Kind.SIGNED
+            and scalar.kind
+            in (
+                Kind.SIGNED,
+                Kind.FLOAT,
+            )
         ):
             if scalar.kind is Kind.FLOAT or scalar.bits >= value.type.bits:
                 return number(value.value, scalar)
@@ -185,7 +190,7 @@ def _fold(op: str, left: lir.Value, right: lir.Value) -> lir.Value | None:
             return index(a + b)
         case "*", lir.Literal(a, _), lir.Literal(b, _):
             return index(a * b)
-        case ("+" | "-"), _, lir.Literal(0, _):
+        case (("+" | "-"), _, lir.Literal(0, _)):
             return left
         case "+", lir.Literal(0, _), _:
             return right

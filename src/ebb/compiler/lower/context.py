@@ -141,5 +141,3 @@ def memory_scalar(element: Element) -> ScalarType:
     stored = from_dtype(element.dtype)
     assert stored in (int32, int64)
     return stored
-
-

@@ -155,5 +155,3 @@ def _picked(ctx: Context, values: Values, start: lir.Value, size: int) -> Values
     var = ctx.build.declare("picked", values[0].type, len(values))
     ctx.build.store_all(var, values)
     return tuple(ctx.build.load_var(var, ctx.build.add_index(start, k)) for k in range(size))
-
-

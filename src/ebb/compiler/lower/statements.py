@@ -213,5 +213,3 @@ def _print(ctx: Context, stmt: kir.Print) -> None:
     ctx.print_words = max(ctx.print_words, len(values))
     slot = ctx.slot(lir.PrintRecords())
     ctx.build.add(lir.Print(len(ctx.prints) - 1, slot, ctx.row, tuple(values)))
-
-
