@@ -143,8 +143,17 @@ def _name(ctx: Context, node: ast.Name) -> Place | Value:
             return value
 
 
+def _base(ctx: Context, node: ast.expr) -> _Whole | Value:
+    """What a longer place begins with. A member stands for its value there, whether it can be assigned or not."""
+    match _place_or_value(ctx, node):
+        case MemberPlace(member, key, span):
+            return attribute(ctx, Typed(key), member.name, span, span)
+        case base:
+            return base
+
+
 def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
-    base, span = _place_or_value(ctx, node.value), ctx.span(node)
+    base, span = _base(ctx, node.value), ctx.span(node)
     key = _as_key(base)
     if key is not None:
         return _of_key(ctx, key, node.attr, span, attribute_span(ctx, node))
@@ -156,8 +165,6 @@ def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
             if isinstance(base, GlobalPlace) and not base.indices and node.attr == "value":
                 return replace(base, span=span)
             return attribute(ctx, Typed(read(base)), node.attr, span, attribute_span(ctx, node))
-        case MemberPlace():
-            return base
         case Static(Relation(), _, _):
             return base
         case value:
@@ -169,7 +176,7 @@ def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
 
 def _subscript(ctx: Context, node: ast.Subscript) -> Place | Value:
     mark = len(ctx.out)
-    base, span = _place_or_value(ctx, node.value), ctx.span(node)
+    base, span = _base(ctx, node.value), ctx.span(node)
     indices = ctx.values(node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice])
     key = _as_key(base)
     if key is not None:
@@ -186,8 +193,6 @@ def _subscript(ctx: Context, node: ast.Subscript) -> Place | Value:
             if checked is None:
                 return Poison(span)
             return replace(_kept(ctx, mark, base), indices=(*base.indices, *checked), span=span)
-        case MemberPlace():
-            return base
         case value:
             return indexed(ctx, value, indices, span)
 
@@ -200,7 +205,7 @@ def _kept(ctx: Context, mark: int, place: _Whole) -> _Whole:
     return place
 
 
-def _as_key(base: Place | Value) -> kir.Expr | None:
+def _as_key(base: _Whole | Value) -> kir.Expr | None:
     match base:
         case Typed(expr) if isinstance(expr.type, KeyType):
             return expr
@@ -215,10 +220,8 @@ def _of_key(ctx: Context, key: kir.Expr, name: str, span: Span, name_span: Span)
     match relation.attribute(name):
         case Field() as field:
             return FieldPlace(field, key, (), span)
-        case Member() as member if member.setter_function is not None or member.reducers:
+        case Member() as member:
             return MemberPlace(member, key, span)
-        case Member():
-            return attribute(ctx, Typed(key), name, span, name_span)
         case None:
             known = attribute_names(relation)
             return ctx.poison(UnknownAttribute(name_span, f"a row of '{relation.name}'", name, known))
