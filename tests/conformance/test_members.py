@@ -275,3 +275,25 @@ def test_names_of_members_and_fields_clash():
 
     rejects(ebb.RelationError, "E5", lambda: vertices.member(x))
     rejects(ebb.RelationError, "E5", lambda: vertices.member("not a name")(x))
+
+
+def test_a_member_that_is_a_key_and_can_be_set_leads_to_the_fields_of_its_row(backend):
+    rows = ebb.Relation("rows", size=4)
+    rows.new_field("next", rows, init=[1, 2, 3, 0])
+    rows.new_field("x", ebb.float64, init=0.0)
+
+    @rows.member
+    def mate(r):
+        return r.next
+
+    @mate.setter
+    def set_mate(r, other):
+        r.next = other
+
+    @ebb.kernel
+    def give(r: rows):
+        r.mate.x += 1.0 + ebb.float64(ebb.id(r))
+
+    give(rows)
+    np.testing.assert_array_equal(rows.x.to_numpy(), [4.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(rows.next.to_numpy(), [1, 2, 3, 0])
