@@ -59,6 +59,15 @@ class _Flow:
 _NOWHERE = _Flow(None)
 
 
+def _surely_runs(loop: kir.ForRange | kir.ForQuery) -> bool:
+    """Whether a loop has at least one turn, whatever the data."""
+    match loop:
+        case kir.ForRange(start=kir.Const(start), stop=kir.Const(stop), step=kir.Const(step)) if step:
+            return len(range(start, stop, step)) > 0
+        case _:
+            return False
+
+
 def _join(flows: Iterable[_Flow]) -> _Flow:
     reached = [flow.assigned for flow in flows if flow.assigned is not None]
     return _Flow(reduce(frozenset[int].intersection, reached)) if reached else _NOWHERE
@@ -70,12 +79,13 @@ class _Targets:
 
     blocks: dict[int, list[_Flow]] = field(default_factory=dict[int, list[_Flow]])
     breaks: list[_Flow] | None = None
+    continues: list[_Flow] | None = None
 
-    def in_loop(self, breaks: list[_Flow]) -> _Targets:
-        return _Targets(self.blocks, breaks)
+    def in_loop(self, breaks: list[_Flow], continues: list[_Flow]) -> _Targets:
+        return _Targets(self.blocks, breaks, continues)
 
     def in_block(self, label: kir.Label, exits: list[_Flow]) -> _Targets:
-        return _Targets({**self.blocks, label.uid: exits}, self.breaks)
+        return _Targets({**self.blocks, label.uid: exits}, self.breaks, self.continues)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +115,9 @@ class _Verifier:
                 return self.compound(stmt, flow, targets)
             case kir.Break() | kir.Continue():
                 _require(targets.breaks is not None, stmt, "break or continue outside of a loop")
-                if isinstance(stmt, kir.Break) and targets.breaks is not None:
-                    targets.breaks.append(flow)
+                exits = targets.breaks if isinstance(stmt, kir.Break) else targets.continues
+                if exits is not None:
+                    exits.append(flow)
                 return _NOWHERE
             case kir.Leave(label):
                 _require(
@@ -120,14 +131,15 @@ class _Verifier:
     def compound(self, stmt: kir.Stmt, flow: _Flow, targets: _Targets) -> _Flow:
         """Checks the bodies of ``stmt``; gives the flow after it."""
         exits: list[_Flow] = []
+        continues: list[_Flow] = []
         match stmt:
             case kir.If(_, then, orelse):
                 return _join((self.body(then, flow, targets), self.body(orelse, flow, targets)))
             case kir.ForRange(local, body=body) | kir.ForQuery(local, body=body):
-                self.body(body, flow.and_assigned(local), targets.in_loop(exits))
-                return flow
+                end = self.body(body, flow.and_assigned(local), targets.in_loop(exits, continues))
+                return _join((end, *exits, *continues)) if _surely_runs(stmt) else flow
             case kir.While(condition, body):
-                self.body(body, flow, targets.in_loop(exits))
+                self.body(body, flow, targets.in_loop(exits, continues))
                 for_ever = isinstance(condition, kir.Const) and condition.value is True
                 return _join(exits) if for_ever else _join((flow, *exits))
             case kir.Block(label, body):

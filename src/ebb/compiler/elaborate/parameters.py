@@ -82,10 +82,11 @@ def annotation(source: SourceFunction, parameter: ast.arg) -> Any:
     span = source.span(parameter.annotation)
     try:
         value = source.function.__annotations__.get(parameter.arg)
-        return _evaluated(source, value) if isinstance(value, str) else value
+        value = _evaluated(source, value) if isinstance(value, str) else value
     except Exception as error:  # whatever the user's own expression raises
         reason = f"{type(error).__name__}: {error}"
         raise KernelTypeError(UnresolvedAnnotation(span, source.name, parameter.arg, reason)) from error
+    return None if value is Any else value  # Any is how typed programs write a bare parameter
 
 
 def check_signature(source: SourceFunction) -> None:

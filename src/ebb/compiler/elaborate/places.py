@@ -14,6 +14,7 @@ from ebb.compiler.elaborate.attributes import (
     checked_indices,
     component_index,
     indexed,
+    member_value,
     part,
     relation_of,
 )
@@ -153,7 +154,7 @@ def _base(ctx: Context, node: ast.expr) -> _Whole | Value:
 
 
 def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
-    base, span = _base(ctx, node.value), ctx.span(node)
+    base, span = _opened(ctx, _place_or_value(ctx, node.value)), ctx.span(node)
     key = _as_key(base)
     if key is not None:
         return _of_key(ctx, key, node.attr, span, attribute_span(ctx, node))
@@ -175,8 +176,8 @@ def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
 
 
 def _subscript(ctx: Context, node: ast.Subscript) -> Place | Value:
+    base, span = _opened(ctx, _place_or_value(ctx, node.value)), ctx.span(node)
     mark = len(ctx.out)
-    base, span = _base(ctx, node.value), ctx.span(node)
     indices = ctx.values(node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice])
     key = _as_key(base)
     if key is not None:
@@ -195,6 +196,11 @@ def _subscript(ctx: Context, node: ast.Subscript) -> Place | Value:
             return replace(_kept(ctx, mark, base), indices=(*base.indices, *checked), span=span)
         case value:
             return indexed(ctx, value, indices, span)
+
+
+def _opened(ctx: Context, base: Place | Value) -> _Whole | Value:
+    """``base`` where something of it is the place: a member stands for its value then."""
+    return member_value(ctx, base.member, base.key, base.span) if isinstance(base, MemberPlace) else base
 
 
 def _kept(ctx: Context, mark: int, place: _Whole) -> _Whole:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import FunctionType, ModuleType
+from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import Any, TypeAlias
 
+from ebb.compiler.elaborate.function import Func
+from ebb.compiler.elaborate.intrinsics import Intrinsic
 from ebb.compiler.host import HostConst, HostExpr, describe
 from ebb.compiler.kir import Expr
 from ebb.diagnostics.span import Span
@@ -160,7 +162,8 @@ _STATIC_NOUNS: tuple[tuple[Any, str], ...] = (
     (Subset, "the subset '{name}'"),
     (Global, "an ebb.Global"),
     (Constant, "an ebb.constant"),
-    (Builtin | Form, "the builtin function '{name}'"),
+    (Builtin | Form | Intrinsic | BuiltinFunctionType, "the builtin function '{name}'"),
+    (Func, "the func '{name}'"),
     (ScalarType | KeyType | VectorType | MatrixType, "an Ebb type"),
     (ModuleType, "the module '{name}'"),
     (str, "a string"),
