@@ -7,7 +7,7 @@ cells = make_grid()
 
 @ebb.kernel
 def shift(c: cells):
-    c.new_T = c(9, 0).T  #~
+    c.new_T = c(9, 0).T  #~ E410
 
 
 shift(cells)

@@ -1,3 +1,3 @@
 import ebb
 
-ebb.set_backend("cpu", threads=0)  #~
+ebb.set_backend("cpu", threads=0)  #~ E603

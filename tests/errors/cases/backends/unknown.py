@@ -1,3 +1,3 @@
 import ebb
 
-ebb.set_backend("gpu")  #~
+ebb.set_backend("gpu")  #~ E601

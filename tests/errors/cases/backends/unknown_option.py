@@ -1,3 +1,3 @@
 import ebb
 
-ebb.set_backend("cpu", thread=2)  #~
+ebb.set_backend("cpu", thread=2)  #~ E602

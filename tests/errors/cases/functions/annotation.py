@@ -12,7 +12,7 @@ def kinetic(m: ebb.float32, qd: ebb.vec3f):
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = kinetic(v.qd, v.mass)  #~
+    v.mass = kinetic(v.qd, v.mass)  #~ E202 E202
 
 
 step(vertices)

@@ -12,7 +12,7 @@ def lerp(a, b, t):
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = lerp(v.mass, 1.0)  #~
+    v.mass = lerp(v.mass, 1.0)  #~ E221
 
 
 step(vertices)

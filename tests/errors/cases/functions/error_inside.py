@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 
 @ebb.func
 def stretch(e):
-    return e.rest_length - 1.0  #~
+    return e.rest_length - 1.0  #~ E127
 
 
 @ebb.kernel

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.q = v.q.normalize()  #~
+    v.q = v.q.normalize()  #~ E127
 
 
 step(vertices)

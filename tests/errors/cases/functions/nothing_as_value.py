@@ -12,7 +12,7 @@ def reset(v):
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = reset(v)  #~
+    v.mass = reset(v)  #~ E222
 
 
 step(vertices)

@@ -12,7 +12,7 @@ def even(n):
 
 @ebb.func
 def odd(n):
-    return False if n == 0 else even(n - 1)  #~
+    return False if n == 0 else even(n - 1)  #~ E129
 
 
 @ebb.kernel

@@ -9,12 +9,12 @@ vertices, edges = make_mesh()
 def limit(x):
     if x > 1:
         return x
-    return True  #~
+    return True
 
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = limit(v.mass)
+    v.mass = limit(v.mass)  #~ E212
 
 
 step(vertices)

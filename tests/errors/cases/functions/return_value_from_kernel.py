@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    return v.mass  #~
+    return v.mass  #~ E113
 
 
 step(vertices)

@@ -6,7 +6,7 @@ vertices, edges = make_mesh()
 
 
 @ebb.kernel
-def step(v: vertices, dt: float):  #~
+def step(v: vertices, dt: float):  #~ E105
     v.mass = dt
 
 

@@ -8,9 +8,9 @@ n = 5
 
 @ebb.kernel
 def step(v: vertices):
-    v.count = n
+    v.count = n  #~ E210
 
 
 step(vertices)
 n = 2**40
-step(vertices)  #~
+step(vertices)

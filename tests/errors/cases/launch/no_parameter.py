@@ -6,7 +6,7 @@ vertices, edges = make_mesh()
 
 
 @ebb.kernel
-def step():  #~
+def step():  #~ E106
     pass
 
 

@@ -10,4 +10,4 @@ def step(v: vertices, settings):
     v.mass = settings
 
 
-step(vertices, {"mass": 1.0})  #~
+step(vertices, {"mass": 1.0})  #~ E263

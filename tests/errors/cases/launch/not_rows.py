@@ -10,4 +10,4 @@ def step(v: vertices):
     v.mass = 1.0
 
 
-step(vertices.mass)  #~
+step(vertices.mass)  #~ E260

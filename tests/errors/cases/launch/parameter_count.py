@@ -10,4 +10,4 @@ def step(v: vertices, dt: ebb.float32):
     v.q += dt * v.qd
 
 
-step(vertices)  #~
+step(vertices)  #~ E262

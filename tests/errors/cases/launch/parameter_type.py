@@ -10,4 +10,4 @@ def step(v: vertices, direction: ebb.vec3f):
     v.q += direction
 
 
-step(vertices, [1.0, 2.0])  #~
+step(vertices, [1.0, 2.0])  #~ E263

@@ -11,4 +11,4 @@ def step(v: vertices):
     v.mass = 1.0
 
 
-step(edges.first)  #~
+step(edges.first)  #~ E261

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def copy(v: vertices, dst: str, src: str):
-    v[dst] = v[src]  #~
+    v[dst] = v[src]  #~ E127
 
 
 copy(vertices, "q", "postion")

@@ -10,4 +10,4 @@ def step(v: vertices):
     v.mass = 1.0
 
 
-step.inspect(vertices, "assembly")  #~
+step.inspect(vertices, "assembly")  #~ E265

@@ -7,7 +7,7 @@ cells = make_grid()
 
 @ebb.kernel
 def step(c: cells):
-    c.new_T = c(1).T  #~
+    c.new_T = c(1).T  #~ E221
 
 
 step(cells)

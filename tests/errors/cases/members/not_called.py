@@ -12,7 +12,7 @@ def toward(v, target):
 
 @ebb.kernel
 def step(v: vertices):
-    v.qd = v.toward  #~
+    v.qd = v.toward  #~ E125
 
 
 step(vertices)

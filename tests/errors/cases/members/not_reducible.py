@@ -10,14 +10,9 @@ def weight(v):
     return 9.81 * v.mass
 
 
-@weight.setter
-def set_weight(v, value):
-    v.mass = value / 9.81
-
-
 @ebb.kernel
 def step(v: vertices):
-    v.weight += 1.0  #~
+    v.weight *= 1.0  #~ E230
 
 
 step(vertices)

@@ -12,7 +12,7 @@ def speed(v):
 
 @ebb.kernel
 def step(v: vertices):
-    v.speed = 0.0  #~
+    v.speed = 0.0  #~ E230
 
 
 step(vertices)

@@ -4,4 +4,4 @@ import ebb
 from ebb.domains import TriMesh
 
 Path("mesh.off").mkdir()
-TriMesh.load("mesh.off")  #~
+TriMesh.load("mesh.off")  #~ E701

@@ -1,4 +1,4 @@
 import ebb
 from ebb.domains import TetMesh
 
-TetMesh.load("dragon.veg")  #~
+TetMesh.load("dragon.veg")  #~ E701

@@ -4,4 +4,4 @@ import ebb
 from ebb.domains import TriMesh
 
 Path("mesh.off").write_text("OFF\n-3 1 0\n")
-TriMesh.load("mesh.off")  #~
+TriMesh.load("mesh.off")  #~ E703

@@ -1,4 +1,4 @@
 import ebb
 from ebb.domains import TriMesh
 
-TriMesh.from_arrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])  #~
+TriMesh.from_arrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])  #~ E712

@@ -9,7 +9,7 @@ table = np.zeros(1000)
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = table[v.count]  #~
+    v.mass = table[v.count]  #~ E202
 
 
 step(vertices)

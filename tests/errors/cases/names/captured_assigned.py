@@ -8,7 +8,7 @@ scale = 2.0
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass *= scale  #~
+    v.mass *= scale  #~ E122
     scale = 3.0
 
 

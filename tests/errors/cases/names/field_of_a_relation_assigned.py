@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    vertices.mass = 5  #~
+    vertices.mass = 5  #~ E124
 
 
 step(vertices)

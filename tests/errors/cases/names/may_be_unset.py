@@ -9,7 +9,7 @@ vertices, edges = make_mesh()
 def step(v: vertices):
     if v.mass > 1:
         heavy = v.mass
-    v.mass = heavy  #~
+    v.mass = heavy  #~ E121
 
 
 step(vertices)

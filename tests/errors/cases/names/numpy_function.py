@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = np.linalg.norm(v.q)  #~
+    v.mass = np.linalg.norm(v.q)  #~ E128
 
 
 step(vertices)

@@ -11,7 +11,7 @@ def double(x):
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = double(v.mass)  #~
+    v.mass = double(v.mass)  #~ E128
 
 
 step(vertices)

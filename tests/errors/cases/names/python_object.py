@@ -8,7 +8,7 @@ settings = {"gravity": 9.81}
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass *= settings  #~
+    v.mass *= settings  #~ E125
 
 
 step(vertices)

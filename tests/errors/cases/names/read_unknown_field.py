@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.q += v.velocity  #~
+    v.q += v.velocity  #~ E127
 
 
 step(vertices)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    edges.tail = v  #~
+    edges.tail = v  #~ E124
 
 
 step(vertices)

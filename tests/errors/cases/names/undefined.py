@@ -8,7 +8,7 @@ damping = 0.5
 
 @ebb.kernel
 def step(v: vertices):
-    v.qd *= dampng  #~
+    v.qd *= dampng  #~ E120
 
 
 step(vertices)

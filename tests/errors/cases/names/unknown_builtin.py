@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.qd = ebb.normalise(v.q)  #~
+    v.qd = ebb.normalise(v.q)  #~ E127
 
 
 step(vertices)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.q.w = 1.0  #~
+    v.q.w = 1.0  #~ E127
 
 
 step(vertices)

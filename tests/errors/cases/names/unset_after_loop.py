@@ -9,7 +9,7 @@ vertices, edges = make_mesh()
 def step(v: vertices):
     for e in v.edges:
         last = e.rest_len
-    v.mass = last  #~
+    v.mass = last  #~ E121
 
 
 step(vertices)

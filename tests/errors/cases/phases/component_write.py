@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 @ebb.kernel
 def smooth(v: vertices):
     for e in v.edges:
-        v.pos.x = e.head.pos.y  #~
+        v.pos.x = e.head.pos.y  #~ E301
 
 
 smooth(vertices)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def push(e: edges):
-    e.head.mass /= 2.0  #~
+    e.head.mass /= 2.0  #~ E303
 
 
 push(edges)

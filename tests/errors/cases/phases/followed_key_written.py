@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 @ebb.kernel
 def turn(v: vertices):
     for e in v.edges:
-        e.tail = e.head  #~
+        e.tail = e.head  #~ E303
 
 
 turn(vertices)

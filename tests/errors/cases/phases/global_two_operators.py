@@ -9,7 +9,7 @@ E = ebb.Global(ebb.float64, 0.0)
 @ebb.kernel
 def measure(v: vertices):
     E.value += v.mass
-    E.value *= v.mass  #~
+    E.value *= v.mass  #~ E304
 
 
 measure(vertices)

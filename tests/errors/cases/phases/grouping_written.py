@@ -10,7 +10,7 @@ edges.new_field("next", edges, init=0)
 def turn(e: edges):
     for other in ebb.where(edges.tail, e.head):
         e.next = other
-    e.tail = e.head  #~
+    e.tail = e.head  #~ E301
 
 
 turn(edges)

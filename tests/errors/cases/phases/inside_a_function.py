@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.func
 def pull(v, e):
-    v.q += 0.1 * (e.head.q - v.q)  #~
+    v.q += 0.1 * (e.head.q - v.q)  #~ E301
 
 
 @ebb.kernel

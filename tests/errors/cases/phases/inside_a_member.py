@@ -12,7 +12,7 @@ def slope(c):
 
 @ebb.kernel
 def step(c: cells):
-    c.T += 0.1 * c.slope  #~
+    c.T += 0.1 * c.slope  #~ E301
 
 
 cells.new_subset("inner", [slice(0, 3), slice(0, 5)])

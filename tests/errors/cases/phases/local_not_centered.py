@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 @ebb.kernel
 def step(e: edges):
     k = e.head
-    k.mass = 1.0  #~
+    k.mass = 1.0  #~ E303
 
 
 step(edges)

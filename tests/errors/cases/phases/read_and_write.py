@@ -10,7 +10,7 @@ def smooth(v: vertices):
     total = ebb.vec3f(0)
     for e in v.edges:
         total += e.head.pos
-    v.pos = total / 2  #~
+    v.pos = total / 2  #~ E301
 
 
 smooth(vertices)

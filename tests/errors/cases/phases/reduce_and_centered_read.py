@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def push(e: edges):
-    e.head.force += e.tail.force  #~
+    e.head.force += e.tail.force  #~ E301
 
 
 push(edges)

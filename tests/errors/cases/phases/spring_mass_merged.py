@@ -14,7 +14,7 @@ def step(v: vertices):
         dq = e.head.q - v.q
         v.force += K * (e.rest_len * ebb.normalize(dq) - dq)
     qdd = v.force / v.mass
-    v.q += v.qd * dt + 0.5 * qdd * dt * dt  #~
+    v.q += v.qd * dt + 0.5 * qdd * dt * dt  #~ E301
     v.qd += qdd * dt
     v.force = [0, 0, 0]
 

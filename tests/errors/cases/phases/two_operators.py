@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 @ebb.kernel
 def push(e: edges):
     e.head.mass += 1.0
-    e.tail.mass *= 2.0  #~
+    e.tail.mass *= 2.0  #~ E301
 
 
 push(edges)

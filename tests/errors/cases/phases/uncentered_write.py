@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(e: edges):
-    e.head.q = [0, 0, 0]  #~
+    e.head.q = [0, 0, 0]  #~ E303
 
 
 step(edges)

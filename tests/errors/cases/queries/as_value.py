@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = v.edges  #~
+    v.mass = v.edges  #~ E125
 
 
 step(vertices)

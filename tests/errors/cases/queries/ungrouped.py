@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    for e in ebb.where(edges.head, v):  #~
+    for e in ebb.where(edges.head, v):  #~ E226
         v.mass += e.rest_len
 
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    for e in ebb.where(edges.rest_len, v):  #~
+    for e in ebb.where(edges.rest_len, v):  #~ E227
         v.mass += 1
 
 

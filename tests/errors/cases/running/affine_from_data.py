@@ -9,7 +9,7 @@ vertices.new_field("cell", cells, init=[[1, 1], [2, 2], [3, 3], [0, 0]])
 
 @ebb.kernel
 def gather(v: vertices):
-    v.mass = ebb.float32(v.cell(1, 0).T)  #~
+    v.mass = ebb.float32(v.cell(1, 0).T)  #~ E403
 
 
 gather(vertices)

@@ -8,7 +8,7 @@ vertices.mass.load([1.0, 2.0, -1.0, -2.0])
 
 @ebb.kernel
 def check(v: vertices):
-    assert v.mass > 0, "a vertex needs a mass"  #~
+    assert v.mass > 0, "a vertex needs a mass"  #~ E401
 
 
 check(vertices)

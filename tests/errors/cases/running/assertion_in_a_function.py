@@ -8,7 +8,7 @@ vertices.mass.load([1.0, 0.0, 2.0, 3.0])
 
 @ebb.func
 def inverse_mass(v):
-    assert v.mass > 0, "a body without mass"  #~
+    assert v.mass > 0, "a body without mass"  #~ E401
     return 1 / v.mass
 
 

@@ -8,7 +8,7 @@ vertices.mass.load([1.0, 2.0, -1.0, -2.0])
 
 @ebb.kernel
 def check(v: vertices):
-    assert v.mass > 0  #~
+    assert v.mass > 0  #~ E401
 
 
 check(vertices)

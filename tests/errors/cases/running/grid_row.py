@@ -8,7 +8,7 @@ cells.T.load(lambda i, j: 1.0 if (i, j) == (2, 3) else 0.0)
 
 @ebb.kernel
 def check(c: cells):
-    assert c.T < 1, "too hot"  #~
+    assert c.T < 1, "too hot"  #~ E401
 
 
 check(cells)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def walk(v: vertices):
-    for i in range(0, 3, v.count):  #~
+    for i in range(0, 3, v.count):  #~ E405
         v.mass += 1
 
 

@@ -8,7 +8,7 @@ vertices.new_field("parent", vertices)
 
 @ebb.kernel
 def follow(v: vertices):
-    v.qd = v.parent.q  #~
+    v.qd = v.parent.q  #~ E404
 
 
 follow(vertices)

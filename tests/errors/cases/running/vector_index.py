@@ -8,7 +8,7 @@ vertices.count.load([0, 1, 2, 3])
 
 @ebb.kernel
 def pick(v: vertices):
-    v.mass = v.q[v.count]  #~
+    v.mass = v.q[v.count]  #~ E402
 
 
 pick(vertices)

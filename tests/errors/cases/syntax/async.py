@@ -6,8 +6,8 @@ vertices, edges = make_mesh()
 
 
 @ebb.kernel
-async def step(v: vertices):  #~
+async def step(v: vertices):
     v.mass = 1.0
 
 
-step(vertices)
+step(vertices)  #~ E102

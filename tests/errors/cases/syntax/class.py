@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    class Body:  #~
+    class Body:  #~ E110
         mass = 1
 
     v.mass = Body.mass

@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 @ebb.kernel
 def step(v: vertices):
     m = v.mass
-    del m  #~
+    del m  #~ E110
 
 
 step(vertices)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    table = {0: 1.0}  #~
+    table = {0: 1.0}  #~ E110
     v.mass = table[0]
 
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    text = f"mass {v.mass}"  #~
+    text = f"mass {v.mass}"  #~ E110
     print(text)
 
 

@@ -8,7 +8,7 @@ total = 0.0
 
 @ebb.kernel
 def step(v: vertices):
-    global total  #~
+    global total  #~ E110
     total += v.mass
 
 

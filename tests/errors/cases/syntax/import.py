@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    import math  #~
+    import math  #~ E110
 
     v.mass = math.pi
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = ebb.clamp(v.mass, low=0.0, high=1.0)  #~
+    v.mass = ebb.clamp(v.mass, low=0.0, high=1.0)  #~ E220
 
 
 step(vertices)

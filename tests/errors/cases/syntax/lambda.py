@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    double = lambda x: 2 * x  #~
+    double = lambda x: 2 * x  #~ E110
     v.mass = double(v.mass)
 
 

@@ -9,7 +9,7 @@ vertices, edges = make_mesh()
 @ebb.kernel
 def step(v: vertices):
     v.q += 0.1 * v.qd
-    +0.5 * v.force  #~
+    +0.5 * v.force  #~ E111
 
 
 step(vertices)

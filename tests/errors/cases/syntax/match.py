@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    match v.count:  #~
+    match v.count:  #~ E110
         case 0:
             v.mass = 1.0
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    def double(x):  #~
+    def double(x):  #~ E110
         return 2 * x
 
     v.mass = double(v.mass)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    for i in range(0, 3, 0):  #~
+    for i in range(0, 3, 0):  #~ E232
         v.count += i
 
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = ebb.length(v.q[0:2])  #~
+    v.mass = ebb.length(v.q[0:2])  #~ E110
 
 
 step(vertices)

@@ -6,7 +6,7 @@ vertices, edges = make_mesh()
 
 
 @ebb.kernel
-def step(v: vertices, *rest):  #~
+def step(v: vertices, *rest):  #~ E110
     v.mass = 1.0
 
 

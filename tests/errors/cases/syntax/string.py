@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    name = "q"  #~
+    name = "q"  #~ E114
     v.mass = name
 
 

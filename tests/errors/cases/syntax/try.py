@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    try:  #~
+    try:  #~ E110
         v.mass = 1 / v.mass
     except ZeroDivisionError:
         v.mass = 0

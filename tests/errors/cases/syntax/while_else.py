@@ -7,10 +7,10 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    while v.count < 3:  #~
+    while v.count < 3:
         v.count += 1
     else:
-        v.count = 0
+        v.count = 0  #~ E110
 
 
 step(vertices)

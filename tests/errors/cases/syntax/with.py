@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    with open("log") as log:  #~
+    with open("log") as log:  #~ E110
         v.mass = 1.0
 
 

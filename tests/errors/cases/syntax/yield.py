@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    yield v.mass  #~
+    yield v.mass  #~ E110
 
 
 step(vertices)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass += v.fixed * 2.0  #~
+    v.mass += v.fixed * 2.0  #~ E201
 
 
 step(vertices)

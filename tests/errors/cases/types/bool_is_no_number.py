@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    if 5 < True:  #~
+    if 5 < True:  #~ E201
         v.mass = 1.0
 
 

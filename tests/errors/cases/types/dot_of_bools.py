@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    if ebb.dot([True, False], [v.fixed, True]):  #~
+    if ebb.dot([True, False], [v.fixed, True]):  #~ E220
         v.mass = 0
 
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = ebb.dot(v.q, [1.0, 2.0])  #~
+    v.mass = ebb.dot(v.q, [1.0, 2.0])  #~ E220
 
 
 step(vertices)

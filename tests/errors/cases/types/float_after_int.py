@@ -9,7 +9,7 @@ vertices, edges = make_mesh()
 def step(v: vertices):
     total = 0
     for e in v.edges:
-        total += e.rest_len  #~
+        total += e.rest_len  #~ E203
     v.mass = total
 
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.count = v.mass  #~
+    v.count = v.mass  #~ E202
 
 
 step(vertices)

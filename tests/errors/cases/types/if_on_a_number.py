@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    if v.count:  #~
+    if v.count:  #~ E211
         v.mass = 0
 
 

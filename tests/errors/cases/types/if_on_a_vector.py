@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    if v.q > 0:  #~
+    if v.q > 0:  #~ E211
         v.mass = 0
 
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(e: edges):
-    e.head = e.head + 1  #~
+    e.head = e.head + 1  #~ E201
 
 
 step(edges)

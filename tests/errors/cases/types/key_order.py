@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(e: edges):
-    if e.head < e.tail:  #~
+    if e.head < e.tail:  #~ E201
         e.rest_len = 0
 
 

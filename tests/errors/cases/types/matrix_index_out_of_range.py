@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.mass = v.frame[0, 3]  #~
+    v.mass = v.frame[0, 3]  #~ E206
 
 
 step(vertices)

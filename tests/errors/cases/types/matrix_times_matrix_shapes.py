@@ -8,7 +8,7 @@ vertices, edges = make_mesh()
 @ebb.kernel
 def step(v: vertices):
     m = [[1.0, 2.0], [3.0, 4.0]]
-    v.frame = v.frame @ m  #~
+    v.frame = v.frame @ m  #~ E201
 
 
 step(vertices)

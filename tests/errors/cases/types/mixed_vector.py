@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    v.q = [1, 2, True]  #~
+    v.q = [1, 2, True]  #~ E204
 
 
 step(vertices)

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    m = [[1, 2], [3]]  #~
+    m = [[1, 2], [3]]  #~ E204
 
 
 step(vertices)

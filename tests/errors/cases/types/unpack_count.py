@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    x, y = v.q  #~
+    x, y = v.q  #~ E225
     v.mass = x + y
 
 

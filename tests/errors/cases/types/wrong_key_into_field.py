@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(e: edges):
-    e.head = e  #~
+    e.head = e  #~ E202
 
 
 step(edges)

@@ -7,8 +7,8 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    for x in v.q:  #~
-        v.mass += x
+    for x in v.mass:  #~ E224
+        v.count += 1
 
 
 step(vertices)
