@@ -296,7 +296,8 @@ def test_reductions_of_components_and_bits():
 
 REDUCED = [
     ("+", float64, 5.0), ("*", float64, 1.0), ("min", float64, 9.0), ("max", float32, -9.0), ("+", int64, 3),
-    ("*", int32, 3), ("min", int32, 2**31 - 1), ("max", int64, -(2**62)), ("&", int32, -1), ("|", int32, 0), ("^", int64, 1),
+    ("*", int32, 3), ("min", int32, 2**31 - 1), ("max", int64, -(2**62)), ("&", int32, -1), ("|", int32, 0),
+    ("^", int64, 1),
 ]  # fmt: skip
 
 
@@ -538,13 +539,13 @@ def test_random_numbers_are_those_of_the_reference(scalar, permuted):
 
 
 def test_prints_are_those_of_the_reference(capsys):
-    points, edges = edges_of(3, 9)
+    _, edges = edges_of(3, 9)
     edges.new_field("v", vector(float32, 2), init=[[1, 2], [3, 4], [5, 6.5]])
     on = OnRows(edges)
     at = read(edges.tail, on.row)
     parts = (
-        "e", (row_id(on.row), ""), " v=", (read(edges.v, on.row), ".2f"), " ", (at, ""), " ", (read(edges.w, on.row), ""),
-        " ", (compare("<", row_id(on.row), const(1, int64)), ""), (i32(-5), "+d"),
+        "e", (row_id(on.row), ""), " v=", (read(edges.v, on.row), ".2f"), " ", (at, ""), " ",
+        (read(edges.w, on.row), ""), " ", (compare("<", row_id(on.row), const(1, int64)), ""), (i32(-5), "+d"),
     )  # fmt: skip
     run_both(on.kernel(kir.Print(parts, HERE)))
     lines = capsys.readouterr().out.splitlines()
@@ -552,7 +553,7 @@ def test_prints_are_those_of_the_reference(capsys):
 
 
 def test_too_many_prints_are_counted(capsys):
-    relation, on = rows_with(70_000, n=(int32, None))
+    _, on = rows_with(70_000, n=(int32, None))
     run_cpu(on.kernel(kir.Print(("x",), HERE)))
     lines = capsys.readouterr().out.splitlines()
     assert lines.count("x") == 65_536 and "4464 more lines" in lines[-1]

@@ -83,7 +83,7 @@ class ObjectCache:
         if not self._warned:
             self._warned = True
             warnings.warn(
-                f"compiled kernels cannot be kept in {self.directory}: {error}; set {_ENVIRONMENT} to a folder that can "
-                "be written, or every run compiles its kernels again",
+                f"compiled kernels cannot be kept in {self.directory}: {error}; set {_ENVIRONMENT} to a folder that can"
+                " be written, or every run compiles its kernels again",
                 stacklevel=2,
             )

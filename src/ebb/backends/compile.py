@@ -52,7 +52,7 @@ def assembly_text(program: lir.Program, target: Target) -> str:
 def _emitter_version() -> str:
     """A hash of the sources that make LLVM IR of LIR, so that code of another version is never taken for ours."""
     sources = sorted(Path(next(iter(emitter.__path__))).glob("*.py"))
-    sources += [Path(module.__file__) for module in (lir, cpu)]
+    sources += [Path(str(module.__file__)) for module in (lir, cpu)]
     return key_of(*(path.read_text(encoding="utf-8") for path in sources))
 
 

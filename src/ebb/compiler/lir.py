@@ -1,17 +1,18 @@
 """LIR, the low-level IR: how the rows of a kernel are computed, for every target. The whole grammar is this file.
 
-Scalars only, in A-normal form: an operation takes values (temporaries and literals) and defines one temporary; control
-flow is structured; memory is *slots*, distinct buffers that never overlap, indexed by element. A program is one function
-over a *block* of rows, a fixed stretch that some thread (or workgroup) takes, and one that finishes the launch. It holds
-no data: what stands behind a slot or an argument is a binding, looked up at each launch, so the text of a program is the
-same for every launch and may key a cache.
+Scalars only, in A-normal form: an operation takes values (temporaries and literals) and defines one temporary;
+control flow is structured; memory is *slots*, distinct buffers that never overlap, indexed by element. A program is one
+function over a *block* of rows, a fixed stretch that some thread (or workgroup) takes, and one that finishes the
+launch. It holds no data: what stands behind a slot or an argument is a binding, looked up at each launch, so the text
+of a program is the same for every launch and may key a cache.
 
-Arithmetic is total: integer division by zero is 0, overflow wraps, shifts by too much give 0 (-1 for ``>>`` of a negative
-number), floats to integers saturate. Keys are int64 positions; memory may hold them as int32.
+Arithmetic is total: integer division by zero is 0, overflow wraps, shifts by too much give 0 (-1 for ``>>`` of a
+negative number), floats to integers saturate. Keys are int64 positions; memory may hold them as int32.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -245,11 +246,15 @@ class LoadArgument:
 
 Operation: TypeAlias = Unary | Binary | Compare | Select | Convert | Math | Load | LoadVar | LoadArgument
 
-MATH: dict[str, int] = dict.fromkeys(
-    "abs sqrt cbrt exp log log2 log10 exp2 expm1 log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
-    " erf floor ceil trunc round".split(),
-    1,
-) | dict.fromkeys("pow atan2 fmod copysign hypot ipow".split(), 2)
+_UNARY_FUNCTIONS = (
+    "abs", "sqrt", "cbrt", "exp", "log", "log2", "log10", "exp2", "expm1", "log1p", "sin", "cos", "tan", "asin",
+    "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "floor", "ceil", "trunc", "round",
+)  # fmt: skip
+_BINARY_FUNCTIONS = ("pow", "atan2", "fmod", "copysign", "hypot", "ipow")
+
+MATH: Mapping[str, int] = {
+    name: operands for operands, names in ((1, _UNARY_FUNCTIONS), (2, _BINARY_FUNCTIONS)) for name in names
+}
 """The mathematical functions and how many operands each takes; all on floats but ``ipow``, an integer power."""
 
 # ---- Statements. ----

@@ -113,7 +113,7 @@ def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind
             yield f"print {number} into s{slot.number} at {value(position)} ({_values(values)})"
 
 
-def _operation(operation: lir.Operation) -> str:  # noqa: C901 - one case a kind of operation
+def _operation(operation: lir.Operation) -> str:
     match operation:
         case lir.Unary(op, operand):
             return f"{op} {value(operand)}"

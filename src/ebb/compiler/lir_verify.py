@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
 from ebb.compiler import lir, lir_print
@@ -41,7 +41,7 @@ class _Checker:
         self.labels: set[int] = set()
 
     @contextmanager
-    def scope(self) -> Iterator[None]:
+    def scope(self) -> Generator[None, None, None]:
         temps, vars_, labels = set(self.temps), set(self.vars), set(self.labels)
         yield
         self.temps, self.vars, self.labels = temps, vars_, labels
@@ -89,6 +89,11 @@ class _Checker:
                 self.demand(self.row_loops, "loops over rows outside of a block")
                 self.demand(len(index) == self.program.dimensions, "has not one index a dimension")
                 self.loop(index, body)
+            case lir.Fail() | lir.Print():
+                self.report(stmt)
+
+    def report(self, stmt: lir.Fail | lir.Print) -> None:
+        match stmt:
             case lir.Fail(site, position, payload):
                 self.demand(0 <= site < len(self.program.sites), f"fails at site {site}, which there is not")
                 self.demand(len(payload) <= lir.PAYLOAD_WORDS, "has too long a payload")

@@ -46,8 +46,8 @@ class ArgumentBlock:
     def __init__(self, words: int, threads: int) -> None:
         self.words = aligned_zeros((words,), np.dtype(np.int64))
         self.address = self.words.ctypes.data
-        raw = memoryview(self.words).cast("B")
-        self.views: dict[str, memoryview] = {code: raw.cast(code) for code in "qQiIdfB"}
+        raw: Any = memoryview(self.words)  # pyright: ignore[reportArgumentType] - NumPy's stubs have no __buffer__
+        self.views: dict[str, memoryview[Any]] = {code: raw.cast("B").cast(code) for code in "qQiIdfB"}
         self.failures = aligned_zeros((threads, FAILURE_WORDS), np.dtype(np.int64))
         self.words[FAILURES] = self.failures.ctypes.data
         runtime = openmp()
@@ -126,8 +126,11 @@ class CpuDevice:
 
 
 def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int) -> bool:
+    def share(thread: int) -> None:
+        code.share(block.address, thread, threads)
+
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda thread: code.share(block.address, thread, threads), range(threads)))
+        list(pool.map(share, range(threads)))
     if block.failures[:, 0].any():
         return True
     code.finish(block.address)

@@ -9,14 +9,18 @@ class Code(Protocol):
     """Object code that has been loaded and can be launched for as long as this object lives."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """That of the kernel."""
+        ...
 
 
 class Device(Protocol):
     """Somewhere kernels run."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """What messages call the device."""
+        ...
 
     def load(self, name: str, image: bytes) -> Any:
         """The object code ``image`` made ready to run.

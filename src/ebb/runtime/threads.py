@@ -84,7 +84,7 @@ def _checked(source: str, value: Any) -> int:
 
 @cache
 def openmp() -> OpenMP | None:
-    """The OpenMP runtime of this process, loaded on first use: that of the compiler (libgomp), else Intel's or LLVM's."""
+    """The OpenMP runtime of this process, loaded on first use: libgomp, else Intel's or LLVM's."""
     for path in _candidates():
         try:
             library = ctypes.CDLL(path)

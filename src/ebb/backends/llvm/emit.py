@@ -83,7 +83,7 @@ class _Emitter:
 
     # ---- Operations ----
 
-    def operation(self, operation: lir.Operation, result: lir.Temp) -> str:  # noqa: C901 - one case a kind of operation
+    def operation(self, operation: lir.Operation, result: lir.Temp) -> str:
         value, w = self.value, self.w
         match operation:
             case lir.Unary(op, operand):

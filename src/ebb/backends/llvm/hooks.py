@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 _INTRINSICS = (
-    "sqrt exp exp2 log log2 log10 sin cos tan asin acos atan sinh cosh tanh floor ceil trunc pow atan2 copysign"
-).split()
-_LIBM = "cbrt expm1 log1p asinh acosh atanh erf hypot".split()
+    "sqrt", "exp", "exp2", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
+    "tanh", "floor", "ceil", "trunc", "pow", "atan2", "copysign",
+)  # fmt: skip
+_LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,9 @@ class Writer(Protocol):
     """Where instructions go: a function under construction."""
 
     @property
-    def hooks(self) -> Hooks: ...
+    def hooks(self) -> Hooks:
+        """What the target wants."""
+        ...
 
     def emit(self, instruction: str) -> str:
         """Appends ``instruction`` and returns the name of its result."""

@@ -7,9 +7,10 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from ebb.backends.target import Target
+from ebb.compiler.kir_verify import CompilerBug
 
 
-class BadModule(AssertionError):
+class BadModule(CompilerBug):
     """LLVM does not take the IR that was emitted: a fault of the compiler, never of the user."""
 
 

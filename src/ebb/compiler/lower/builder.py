@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 
 from ebb.compiler import lir
@@ -42,7 +42,7 @@ class Builder:
     # ---- Bodies and names ----
 
     @contextmanager
-    def body(self) -> Iterator[list[lir.Stmt]]:
+    def body(self) -> Generator[list[lir.Stmt], None, None]:
         """Opens a body; what is built meanwhile goes into it."""
         self._bodies.append([])
         yield self._bodies[-1]
@@ -96,17 +96,8 @@ class Builder:
     def convert(self, value: lir.Value, scalar: ScalarType) -> lir.Value:
         if value.type == scalar:
             return value
-        if (
-            isinstance(value, lir.Literal)
-            and value.type.kind is Kind.SIGNED
-            and scalar.kind
-            in (
-                Kind.SIGNED,
-                Kind.FLOAT,
-            )
-        ):
-            if scalar.kind is Kind.FLOAT or scalar.bits >= value.type.bits:
-                return number(value.value, scalar)
+        if isinstance(value, lir.Literal) and value.type.kind is Kind.SIGNED and _widens(value.type, scalar):
+            return number(value.value, scalar)
         return self.let(lir.Convert(value), scalar)
 
     def load(self, slot: lir.Slot, at: lir.Value) -> lir.Value:
@@ -171,6 +162,10 @@ class _Arm:
 def arm(body: Sequence[lir.Stmt], values: Values) -> _Arm:
     """One side of ``Builder.choose``."""
     return _Arm(tuple(body), values)
+
+
+def _widens(source: ScalarType, target: ScalarType) -> bool:
+    return target.kind is Kind.FLOAT or (target.kind is Kind.SIGNED and target.bits >= source.bits)
 
 
 _MOST_SPECULATED = 16

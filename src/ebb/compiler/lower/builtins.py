@@ -54,11 +54,17 @@ def _by_component(compute: _Component) -> Lowering:
 
 
 def _function(name: str) -> Lowering:
-    return _by_component(lambda b, *values: b.math(name, *values))
+    def call(b: Builder, *values: lir.Value) -> lir.Value:
+        return b.math(name, *values)
+
+    return _by_component(call)
 
 
 def _fold(op: str) -> Lowering:
-    return _by_component(lambda b, *values: reduce(lambda x, y: b.binary(op, x, y), values))
+    def fold(b: Builder, *values: lir.Value) -> lir.Value:
+        return reduce(lambda x, y: b.binary(op, x, y), values)
+
+    return _by_component(fold)
 
 
 def _abs(b: Builder, x: lir.Value) -> lir.Value:
@@ -92,7 +98,14 @@ def _to_int64(function: str) -> Lowering:
 
 
 def _times(factor: float) -> Lowering:
-    return _by_component(lambda b, x: b.binary("*", x, number(factor, x.type)))
+    def scale(b: Builder, x: lir.Value) -> lir.Value:
+        return b.binary("*", x, number(factor, x.type))
+
+    return _by_component(scale)
+
+
+def _select(b: Builder, condition: lir.Value, then: lir.Value, other: lir.Value) -> lir.Value:
+    return b.select(condition, then, other)
 
 
 def _is_nan(b: Builder, x: lir.Value) -> lir.Value:
@@ -138,8 +151,9 @@ def _length(b: Builder, arguments: tuple[Values, ...], types: tuple[Type, ...], 
 def _normalize(b: Builder, arguments: tuple[Values, ...], types: tuple[Type, ...], result: Type) -> Values:
     (norm,) = _length(b, arguments, types, result)
     nothing = zero(norm.type)
-    is_zero = b.compare("==", norm, nothing)
-    return tuple(b.select(is_zero, nothing, b.binary("/", x, norm)) for x in arguments[0])
+    # One division: the components are multiplied by the inverse, as the builtin's row says.
+    inverse = b.select(b.compare("==", norm, nothing), nothing, b.binary("/", one(norm.type), norm))
+    return tuple(b.binary("*", x, inverse) for x in arguments[0])
 
 
 def _outer(b: Builder, arguments: tuple[Values, ...], types: tuple[Type, ...], result: Type) -> Values:
@@ -202,9 +216,10 @@ def _combined(op: str) -> Lowering:
 # ---- The rows ----
 
 _FUNCTIONS = (
-    "sqrt cbrt exp exp2 expm1 log log2 log10 log1p pow sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh"
-    " atanh hypot fmod copysign floor ceil trunc"
-).split()
+    "sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "sin", "cos", "tan", "asin",
+    "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "hypot", "fmod", "copysign",
+    "floor", "ceil", "trunc",
+)  # fmt: skip
 
 LOWERING: Mapping[str, Lowering] = {name: _function(name) for name in _FUNCTIONS} | {
     "abs": _by_component(_abs),
@@ -213,7 +228,7 @@ LOWERING: Mapping[str, Lowering] = {name: _function(name) for name in _FUNCTIONS
     "max": _fold("max"),
     "clamp": _by_component(_clamp),
     "sign": _by_component(_sign),
-    "select": _by_component(lambda b, condition, then, other: b.select(condition, then, other)),
+    "select": _by_component(_select),
     "round": _to_int64("round"),
     "math.floor": _to_int64("floor"),
     "math.ceil": _to_int64("ceil"),

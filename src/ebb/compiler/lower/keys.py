@@ -184,7 +184,7 @@ def _in_range(ctx: Context, expr: kir.Expr, extent: int) -> bool:
             return True
         case kir.ReadLocal(local) if local.uid in ctx.ranges:
             first, last = ctx.ranges[local.uid]
-            return 0 <= first and last < extent
+            return first >= 0 and last < extent
         case kir.Cast(operand):
             return _in_range(ctx, operand, extent)
         case _:

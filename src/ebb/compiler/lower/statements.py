@@ -32,7 +32,7 @@ def lower_stmt(ctx: Context, stmt: kir.Stmt) -> None:  # noqa: C901 - one case a
     match stmt:
         case kir.Assign():
             _assign(ctx, stmt)
-        case kir.WriteField(field, key, indices, value):
+        case kir.WriteField(field=field, value=value):
             first, size = _field_place(ctx, stmt)
             stored = [b.convert(v, memory_scalar(field.type.scalar)) for v in lower_expr(ctx, value)]
             slot = ctx.slot(lir.FieldData(field))
