@@ -71,6 +71,7 @@ from ebb.types.aliases import (
     vec4f,
     vec4i,
 )
+from ebb.types.builtins import abs_ as abs
 from ebb.types.builtins import (
     acos,
     asin,
@@ -110,7 +111,10 @@ from ebb.types.builtins import (
 from ebb.types.builtins import all_ as all
 from ebb.types.builtins import any_ as any
 from ebb.types.builtins import id_ as id
+from ebb.types.builtins import max_ as max
+from ebb.types.builtins import min_ as min
 from ebb.types.builtins import pow_ as pow
+from ebb.types.builtins import round_ as round
 from ebb.types.types import (
     bool_,
     float32,
@@ -141,6 +145,7 @@ __all__ = [
     "Relation",
     "RelationError",
     "Subset",
+    "abs",
     "acos",
     "affine",
     "all",
@@ -212,11 +217,14 @@ __all__ = [
     "mat4x3f",
     "mat4x3i",
     "matrix",
+    "max",
+    "min",
     "normalize",
     "outer",
     "pow",
     "rand",
     "randn",
+    "round",
     "seed",
     "select",
     "set_backend",

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import functools
 import inspect
-import sys
+from collections import ChainMap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from types import FrameType
+from types import CodeType, FrameType, FunctionType
 from typing import Any, overload
 
 from ebb.backends.backend import Backend, CheckedKernel, Executable, Hints
@@ -20,6 +20,7 @@ from ebb.backends.select import current_backend
 from ebb.compiler import kir_print, kir_walk
 from ebb.compiler.arguments import argument_type, check_argument, uniform_values
 from ebb.compiler.elaborate.elaborate import elaborate
+from ebb.compiler.elaborate.errors import NotAFunction
 from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
@@ -29,7 +30,7 @@ from ebb.compiler.launch_errors import ArgumentCount, ArgumentType, NotRows, Row
 from ebb.compiler.phases.check import check_phases
 from ebb.compiler.phases.stencil import check_stencil, collect_stencil
 from ebb.compiler.pipeline import run_passes
-from ebb.errors import EbbError, KernelTypeError, trimmed
+from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError, trimmed
 from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.relation import Relation
@@ -96,6 +97,8 @@ class Kernel:
     def __init__(
         self, function: _Function, hints: Hints, text: str | None, frame_locals: Mapping[str, Any] | None
     ) -> None:
+        if not isinstance(function, FunctionType):
+            raise KernelSyntaxError(NotAFunction(function))
         functools.update_wrapper(self, function)
         self._name = function.__name__
         self._function = function
@@ -278,10 +281,12 @@ def kernel(
         source: the text that defines the function, for functions whose source Python does not keep.
     """
     hints = Hints(block_size=block_size, fastmath=fastmath)
-    frame_locals = _enclosing_locals(sys._getframe(1))
-    if function is not None:
-        return Kernel(function, hints, source, frame_locals)
-    return lambda inner: Kernel(inner, hints, source, frame_locals)
+    frame_locals = _enclosing_locals(inspect.currentframe())
+
+    def decorate(inner: _Function) -> Kernel:
+        return Kernel(inner, hints, source, frame_locals)
+
+    return decorate if function is None else decorate(function)
 
 
 @overload
@@ -297,18 +302,30 @@ def func(
         function: the function; annotations of its parameters are enforced.
         source: the text that defines the function, for functions whose source Python does not keep.
     """
-    frame_locals = _enclosing_locals(sys._getframe(1))
-    if function is not None:
-        return Func(function, source, frame_locals)
-    return lambda inner: Func(inner, source, frame_locals)
+    frame_locals = _enclosing_locals(inspect.currentframe())
+
+    def decorate(inner: Callable[..., Any]) -> Func:
+        return Func(inner, source, frame_locals)
+
+    return decorate if function is None else decorate(function)
 
 
-def _enclosing_locals(frame: FrameType) -> Mapping[str, Any] | None:
-    """The locals of the function that runs the decorator, None at module level.
+def _enclosing_locals(decorator: FrameType | None) -> Mapping[str, Any] | None:
+    """The locals of the functions that the decorated one is written in, as far as they run; None at module level.
 
-    Annotations that are kept as text (PEP 563) may name locals of that function which the closure does not hold.
+    Annotations that are kept as text (PEP 563) may name locals of those functions which the closure does not hold.
     """
-    return None if frame.f_locals is frame.f_globals else dict(frame.f_locals)
+    scopes: list[dict[str, Any]] = []
+    frame = decorator.f_back if decorator is not None else None
+    inner: CodeType | None = None
+    while frame is not None:
+        if inner is None or inner in frame.f_code.co_consts:
+            if frame.f_locals is frame.f_globals:
+                break
+            scopes.append(dict(frame.f_locals))
+            inner = frame.f_code
+        frame = frame.f_back
+    return ChainMap(*scopes) if scopes else None
 
 
 def _index_of(field: Field) -> Grouping:

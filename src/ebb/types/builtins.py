@@ -144,7 +144,7 @@ def _length(v: Any) -> Any:
 
 def _normalize(v: Any) -> Any:
     norm = _length(v)
-    return np.zeros_like(v) if norm == 0 else v / norm
+    return np.zeros_like(v) if norm == 0 else v * (v.dtype.type(1) / norm)
 
 
 def _select(condition: Any, then: Any, other: Any) -> Any:
@@ -302,7 +302,7 @@ isfinite = _row("isfinite", 1, signatures.predicate, np.isfinite, "Whether x is 
 dot = _row("dot", 2, signatures.dot, arithmetic.dot, "The sum of the products of the components.")
 cross = _row("cross", 2, signatures.cross, _cross, "The cross product of two vectors of 3 components.")
 length = _row("length", 1, signatures.length, _length, "sqrt(dot(v, v)), a float also for integers.")
-normalize = _row("normalize", 1, signatures.normalize, _normalize, "v / length(v), and 0 where the length is 0.")
+normalize = _row("normalize", 1, signatures.normalize, _normalize, "v * (1 / length(v)), and 0 where the length is 0.")
 outer = _row("outer", 2, signatures.outer, np.multiply.outer, "The matrix of all products a[i] * b[j].")
 transpose = _row("transpose", 1, signatures.transpose, _transpose, "Rows and columns exchanged.")
 trace = _row("trace", 1, signatures.trace, _trace, "The sum of the diagonal.")

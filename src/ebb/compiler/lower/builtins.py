@@ -152,7 +152,7 @@ def _normalize(b: Builder, arguments: tuple[Values, ...], types: tuple[Type, ...
     (norm,) = _length(b, arguments, types, result)
     nothing = zero(norm.type)
     # One division: the components are multiplied by the inverse, as the builtin's row says.
-    inverse = b.select(b.compare("==", norm, nothing), nothing, b.binary("/", one(norm.type), norm))
+    inverse = b.select(b.compare("==", norm, nothing), nothing, b.binary("/", number(1, norm.type), norm))
     return tuple(b.binary("*", x, inverse) for x in arguments[0])
 
 
