@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from ebb.compiler.host import HostValue, describe, evaluate
-from ebb.compiler.launch_errors import ArgumentType, UniformRange
+from ebb.compiler.launch_errors import ArgumentType, UniformFailed
 from ebb.errors import KernelTypeError
 from ebb.types.types import KeyType, Kind, ScalarType, Type, bool_, float64, from_dtype, int32, int64, shaped_type
 
@@ -80,10 +80,15 @@ def _in_range(array: np.ndarray[Any, Any], scalar: ScalarType) -> bool:
 def _uniform_value(kernel: str, uniform: HostValue, parameters: tuple[Any, ...]) -> Any:
     target = uniform.type
     assert not isinstance(target.scalar, KeyType), "a uniform is no key"
-    value = evaluate(uniform.expr, parameters)
+    try:
+        value = evaluate(uniform.expr, parameters)
+    except (ArithmeticError, AttributeError, LookupError, NameError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error
     try:
         if not target.shape:
             return target.dtype.type(value)
         return np.broadcast_to(np.asarray(value, dtype=target.dtype), target.shape)
     except (OverflowError, ValueError, TypeError) as error:
-        raise KernelTypeError(UniformRange(kernel, describe(uniform.expr), value, target)) from error
+        reason = f"{value!r} is no {target!r}"
+        raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error

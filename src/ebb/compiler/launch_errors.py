@@ -88,22 +88,21 @@ class ArgumentType(Diagnostic):
 
 
 @dataclass(frozen=True)
-class UniformRange(Diagnostic):
-    """A captured number does not fit the type that the kernel uses it as."""
+class UniformFailed(Diagnostic):
+    """What a kernel captures has no value at this launch, or none that fits the type that the kernel uses it as."""
 
     code: ClassVar[str] = "E264"
     kernel: str
     expression: str
-    value: Any
-    type: Type
+    reason: str
 
     @property
     def title(self) -> str:
-        return f"'{self.expression}' in kernel '{self.kernel}' is {_shown(self.value)}, which is no {self.type!r}"
+        return f"'{self.expression}' in kernel '{self.kernel}' has no value for this launch: {self.reason}"
 
     @property
-    def hints(self) -> tuple[str, ...]:
-        return ("convert it where it is used, for example with ebb.int64(x), or pass a value that fits",)
+    def notes(self) -> tuple[str, ...]:
+        return ("captured numbers are read, and arithmetic among them done by Python, at each launch",)
 
 
 @dataclass(frozen=True)

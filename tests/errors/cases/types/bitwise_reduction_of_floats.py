@@ -1,0 +1,13 @@
+from world import make_mesh
+
+import ebb
+
+vertices, edges = make_mesh()
+
+
+@ebb.kernel
+def step(e: edges):
+    e.head.mass |= 1  #~ E213
+
+
+step(edges)
