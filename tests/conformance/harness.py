@@ -6,6 +6,7 @@ import itertools
 import linecache
 import re
 import textwrap
+import warnings
 
 import numpy as np
 import pytest
@@ -24,17 +25,20 @@ def sizes_for(backend):
     return SIZES if backend == "reference" else (*SIZES, LARGE)
 
 
-def define(text, **names):
+def define(text, /, **names):
     """Runs ``text``, a module that defines kernels, with its source where Python keeps it; returns its names."""
     text = textwrap.dedent(text)
     filename = f"<conformance program {next(_programs)}>"
     linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)
     namespace = {"ebb": ebb, "np": np, "__name__": "program", **names}
-    exec(compile(text, filename, "exec", dont_inherit=True), namespace)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)  # Python warns of indexing a literal list by a tuple
+        code = compile(text, filename, "exec", dont_inherit=True)
+    exec(code, namespace)
     return namespace
 
 
-def kernel_of(body, signature="r: rows", **names):
+def kernel_of(body, signature="r: rows", /, **names):
     """The kernel whose body is ``body``, on the relation ``rows`` of ``names``, or with another signature."""
     lines = textwrap.indent(textwrap.dedent(body).strip("\n"), "    ")
     return define(f"@ebb.kernel\ndef program({signature}):\n{lines}\n", **names)["program"]

@@ -44,11 +44,9 @@ REAL = {
 }
 ROUNDING = {
     "abs(r.x)": np.abs(SIGNED),
-    "ebb.abs(r.x)": np.abs(SIGNED),
     "ebb.floor(r.x)": np.floor(SIGNED),
     "ebb.ceil(r.x)": np.ceil(SIGNED),
     "round(r.x)": np.rint(SIGNED),
-    "ebb.round(r.x)": np.rint(SIGNED),
     "ebb.sign(r.x)": np.sign(SIGNED),
     "ebb.fmod(r.x, 2.0)": np.fmod(SIGNED, 2.0),
     "math.fmod(r.x, -2.0)": np.fmod(SIGNED, -2.0),
@@ -56,7 +54,7 @@ ROUNDING = {
     "min(r.x, 1)": np.minimum(SIGNED, 1),
     "max(r.x, -1, 0.25)": np.maximum(SIGNED, 0.25),
     "min(max(r.x, -1), 1)": np.clip(SIGNED, -1, 1),
-    "ebb.min(r.x, 0) + ebb.max(r.x, 0)": SIGNED,
+    "min(r.x, 0) + max(r.x, 0)": SIGNED,
     "ebb.select(r.x > 0, r.x, -2 * r.x)": np.where(SIGNED > 0, SIGNED, -2 * SIGNED),
 }
 

@@ -27,7 +27,7 @@ TYPES = [
 
 
 def sample(field_type, shape):
-    values = np.arange(int(np.prod(shape)) * field_type.size).reshape(*shape, *field_type.shape)
+    values = np.arange(int(np.prod(shape)) * field_type.size).reshape((*shape, *field_type.shape))
     return (values % 2 if field_type.dtype == bool else values).astype(field_type.dtype)
 
 
@@ -74,7 +74,7 @@ def test_load_from_another_field_swap_and_copy(field_type):
         a = relation.new_field("a", field_type, init=values)
         b = relation.new_field("b", field_type, init=a)
         np.testing.assert_array_equal(b.to_numpy(), values)
-        b.fill(0)
+        b.fill(field_type.dtype.type(0))
         relation.swap("a", "b")
         np.testing.assert_array_equal(relation.b.to_numpy(), values)
         assert not relation.a.to_numpy().any()

@@ -142,6 +142,26 @@ def test_a_matrix_captured_from_python(backend):
     np.testing.assert_array_equal(coarse.y.to_numpy(), fine.x.to_numpy()[1::2, ::2])
 
 
+@pytest.mark.parametrize("make", [list, tuple, np.array], ids=["list", "tuple", "array"])
+def test_a_whole_matrix_captured_from_python(backend, make):
+    coarse, fine = grid((3, 4), name="coarse"), grid((6, 8), name="fine")
+    M = make([[2, 0, 1], [0, 2, 0]])
+
+    @ebb.kernel
+    def restrict(c: coarse):
+        c.y = ebb.affine(fine, M, c).x
+
+    restrict(coarse)
+    np.testing.assert_array_equal(coarse.y.to_numpy(), fine.x.to_numpy()[1::2, ::2])
+    M = make([[2, 0, 0], [0, 2, 1]])
+    restrict(coarse)
+    np.testing.assert_array_equal(coarse.y.to_numpy(), fine.x.to_numpy()[::2, 1::2])
+    if make is not tuple:
+        M[0][2] = 1
+        restrict(coarse)
+        np.testing.assert_array_equal(coarse.y.to_numpy(), fine.x.to_numpy()[1::2, 1::2])
+
+
 # ---- Scatter and keys ----
 
 

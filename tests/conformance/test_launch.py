@@ -384,4 +384,4 @@ def test_the_error_shows_file_line_and_source():
     lines = text.splitlines()
     at = next(i for i, each in enumerate(lines) if "# here" in each)
     shown, carets = lines[at], lines[at + 1]
-    assert shown[carets.index("^") : carets.rindex("^") + 1] == "r.y"
+    assert shown[carets.index("^") : carets.rindex("^") + 1] == "y"

@@ -70,7 +70,8 @@ class ValueGuard:
     def holds(self, parameters: tuple[Any, ...]) -> bool:
         try:
             found = self.read(parameters)
-            return type(found) is type(self.value) and bool(np.all(found == self.value))
+            same = np.array_equal(found, self.value) if isinstance(found, np.ndarray) else found == self.value
+            return type(found) is type(self.value) and bool(same)
         except Exception:
             return False
 
