@@ -65,7 +65,7 @@ class Binding:
         Raises:
             EbbError: an assertion or a check of the kernel failed for some row.
         """
-        words = self._block.views["q"]
+        words = self._block.numbers
         for word, field in self._fields:
             words[word] = field.address
         for word, source in self._arrays:

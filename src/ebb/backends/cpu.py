@@ -63,6 +63,7 @@ class CpuExecutable:
         self._checked = checked
         self._backend = backend
         self._sources = sources_of(checked.kernel)
+        self._depends = self._sources.state() != ()
         self._compiled: dict[tuple[Launched, State], tuple[lir.Program, CpuCode]] = {}
         self._bindings: dict[tuple[RowSet, State], Binding] = {}
 
@@ -78,7 +79,7 @@ class CpuExecutable:
         """
         if rows.size == 0:
             return
-        state = self._sources.state()
+        state = self._sources.state() if self._depends else ()
         binding = self._bindings.get((rows, state))
         if binding is None:
             program, code = self._compile(_launched(rows), state)

@@ -35,6 +35,8 @@ class _Checker:
     def __init__(self, program: lir.Program, row_loops: bool) -> None:
         self.program = program
         self.row_loops = row_loops
+        self.slots = {id(slot) for slot in program.slots}
+        self.arguments = {id(argument) for argument in program.arguments}
         self.temps: set[int] = set()
         self.defined: set[int] = set()
         self.vars: set[int] = set()
@@ -154,7 +156,7 @@ class _Checker:
                 self.var(var, index)
                 self.demand(var.type == result, "loads another type than the variable has")
             case lir.LoadArgument(argument):
-                self.demand(argument in self.program.arguments, "loads an argument that the program has not")
+                self.demand(id(argument) in self.arguments, "loads an argument that the program has not")
                 self.demand(argument.type == result, "loads another type than the argument has")
 
     def define(self, temp: lir.Temp) -> None:
@@ -177,7 +179,7 @@ class _Checker:
             self.demand(0 <= index.value < var.size, f"uses component {index.value} of {var.size}")
 
     def slot(self, slot: lir.Slot, index: lir.Value, access: lir.Access) -> None:
-        self.demand(slot in self.program.slots, f"uses slot {slot.number}, which the program has not")
+        self.demand(id(slot) in self.slots, f"uses slot {slot.number}, which the program has not")
         self.demand(access is lir.Access.READ or slot.access is access, f"writes the read-only slot {slot.number}")
         self.typed(index, int64)
 

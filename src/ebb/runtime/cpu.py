@@ -39,15 +39,24 @@ _links = itertools.count()
 
 
 class ArgumentBlock:
-    """The words that one launch hands over, and views of them by type. ``address`` never changes."""
+    """The words that one launch hands over.
 
-    __slots__ = ("address", "failures", "views", "words")
+    Attributes:
+        words: all of them, as an array.
+        address: where they begin; it never changes.
+        views: the same memory by type, which is quicker to write one word of than the array is.
+        numbers: the view as int64.
+        failures: the failure records, one row a thread.
+    """
+
+    __slots__ = ("address", "failures", "numbers", "views", "words")
 
     def __init__(self, words: int, threads: int) -> None:
         self.words = aligned_zeros((words,), np.dtype(np.int64))
         self.address = self.words.ctypes.data
         raw: Any = memoryview(self.words)  # pyright: ignore[reportArgumentType] - NumPy's stubs have no __buffer__
         self.views: dict[str, memoryview[Any]] = {code: raw.cast("B").cast(code) for code in "qQiIdfB"}
+        self.numbers = self.views["q"]
         self.failures = aligned_zeros((threads, FAILURE_WORDS), np.dtype(np.int64))
         self.words[FAILURES] = self.failures.ctypes.data
         runtime = openmp()
@@ -113,10 +122,12 @@ class CpuDevice:
         Returns:
             Whether some row failed.
         """
-        threads = usable_threads(min(self.threads, shares))
+        threads = shares if shares < self.threads else self.threads
+        if threads > 1:
+            threads = usable_threads(threads)
         with self._lock:
-            block.views["q"][THREADS] = threads
-            if threads == 1 or block.views["q"][FORK]:
+            block.numbers[THREADS] = threads
+            if threads == 1 or block.numbers[FORK]:
                 return code.launch(block.address) != 0
             return _launch_on_python_threads(code, block, threads)
 
@@ -147,5 +158,6 @@ def _linker() -> Any:
     if _Linker.instance is None:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-        _Linker.instance = llvm.create_lljit_compiler()
+        # JITLink puts the parts of an object next to one another; LLVM's older linker may put them out of reach.
+        _Linker.instance = llvm.create_lljit_compiler(use_jit_link=True)
     return _Linker.instance
