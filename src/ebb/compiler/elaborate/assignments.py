@@ -110,8 +110,6 @@ def store(ctx: Context, target: ast.expr, value: Value, span: Span) -> None:
             assign_name(ctx, target, value, span)
         case ast.Name() if not _captured_global(ctx, target):
             _report_captured(ctx, target)
-        case ast.Starred():
-            ctx.report(RejectedSyntax(ctx.span(target), *REJECTED_EXPRESSIONS[ast.Starred]))
         case _:
             mark = len(ctx.out)
             place = place_of(ctx, target)
@@ -214,6 +212,10 @@ def _write(ctx: Context, place: Place, value: Value, span: Span) -> None:
 
 
 def _unpack(ctx: Context, targets: list[ast.expr], value: Value, span: Span) -> None:
+    starred = [target for target in targets if isinstance(target, ast.Starred)]
+    if starred:
+        value = ctx.poison(RejectedSyntax(ctx.span(starred[0]), *REJECTED_EXPRESSIONS[ast.Starred]))
+        targets = [target for target in targets if not isinstance(target, ast.Starred)]
     elements = elements_to_unpack(ctx, value, len(targets), span)
     names = {each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
     if elements is not None:
@@ -238,12 +240,12 @@ def elements_to_unpack(ctx: Context, value: Value, count: int, span: Span) -> li
             if expr is None:
                 return None
             if not expr.type.shape:
-                ctx.report(UnpackCount(span, count, f"one of type {expr.type!r}"))
+                ctx.report(UnpackCount(span, count, f"a value of type {expr.type!r}"))
                 return None
             whole = ctx.simple(expr)
             elements = [Typed(component(whole, (index,))) for index in range(expr.type.shape[0])]
     if len(elements) != count:
-        ctx.report(UnpackCount(span, count, str(len(elements))))
+        ctx.report(UnpackCount(span, count, f"{len(elements)} value{'' if len(elements) == 1 else 's'}"))
         return None
     return elements
 

@@ -6,6 +6,7 @@ import ast
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ from ebb.compiler.elaborate.values import (
     Value,
     Weak,
     WeakChoice,
+    is_items,
     noun,
     static_noun,
 )
@@ -83,6 +85,9 @@ _ELSEWHERE: Mapping[Any, str] = {
     isinstance: "types are known when the kernel is compiled",
     input: "read it outside the kernel",
     open: "read or write files outside the kernel",
+    np.linalg.norm: "use ebb.length(v)",
+    np.linalg.inv: "use ebb.inverse(m)",
+    np.array: "write the vector or matrix out: [x, y, z]",
 }
 
 
@@ -164,7 +169,9 @@ def _advice(found: Any, name: str) -> str:
         return f"use ebb.{short}"
     if type(found).__name__ == "Kernel":
         return "launch it from the host, or make what they share an @ebb.func"
-    return "decorate it with @ebb.func, or use a builtin of ebb or math"
+    if isinstance(found, FunctionType):
+        return f"decorate '{name}' with @ebb.func"
+    return "use a builtin of ebb or math, or write it as an @ebb.func"
 
 
 _NUMPY_TYPES = ("bool_", "int32", "int64", "uint32", "uint64", "float32", "float64")
@@ -186,7 +193,7 @@ def _length(ctx: Context, arguments: Arguments) -> Value:
     match arguments.given:
         case [Query(index, key, _, _)]:
             return Typed(kir.QuerySize(index, key, int32, span))
-        case [Static(tuple() | list() as items, host, _)]:
+        case [Static(items, host, _)] if is_items(items):
             ctx.guard_structure(host, items)
             return Weak(HostConst(len(items)), len(items), span)
         case [value]:
@@ -248,7 +255,7 @@ def _typed_call(ctx: Context, row: Builtin, name: str, known: list[Operand], spa
 
 
 def _beside(value: Operand, known: list[Operand]) -> Element | None:
-    """The element type beside which a weak argument takes its own: that of the typed arguments that are numbers as it is."""
+    """The element type beside which a weak argument takes its own: of the typed arguments that are numbers as it is."""
     if isinstance(value, Typed):
         return None
     weak = [leaf for leaf in leaves(value) if not isinstance(leaf, Typed)]
@@ -319,7 +326,7 @@ def _known_value(ctx: Context, value: Value) -> Any:
         case Weak(host, number, _):
             ctx.guard_value(host, number)
             return number
-        case Static(list() | tuple() as items, host, _):
+        case Static(items, host, _) if is_items(items):
             ctx.guard_value(host, items)
             return tuple(items)
         case Static(found, _, _):

@@ -110,7 +110,7 @@ class UnpackCount(KernelDiagnostic):
 
     @property
     def title(self) -> str:
-        return f"{self.names} name{'s take' if self.names != 1 else ' takes'} as many values, not {self.values}"
+        return f"{self.values} cannot be unpacked into {self.names} name{'' if self.names == 1 else 's'}"
 
 
 @dataclass(frozen=True)

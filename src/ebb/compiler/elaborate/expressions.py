@@ -12,7 +12,7 @@ from ebb.compiler.elaborate.capture import captured
 from ebb.compiler.elaborate.context import Context
 from ebb.compiler.elaborate.errors_names import MaybeUnset, ReadBeforeAssignment, UndefinedName
 from ebb.compiler.elaborate.errors_syntax import UnknownConstant
-from ebb.compiler.elaborate.scope import Bound, Variable, raw_lookup, visible_names
+from ebb.compiler.elaborate.scope import Bound, Variable, raw_lookup, rejected_names, visible_names
 from ebb.compiler.elaborate.values import Poison, Sequence, Static, Typed, Value, Weak, static_noun
 from ebb.compiler.host import HostConst
 from ebb.diagnostics.span import Span
@@ -24,6 +24,8 @@ def read_name(ctx: Context, node: ast.Name) -> Value:
     if name in frame.locals:
         return _local(ctx, name, span)
     outside = raw_lookup(frame.source, name)
+    if outside is None and name in rejected_names(frame.source.node):
+        return Poison(span)
     if outside is None:
         return ctx.poison(UndefinedName(span, name, visible_names(frame)))
     host, value = outside

@@ -283,7 +283,8 @@ def _compare(ctx: Context, node: ast.Compare) -> Value:
     for op in node.ops:
         if type(op) in _REJECTED_COMPARE:
             for each in (node.left, *node.comparators):
-                ctx.value(each)
+                if not isinstance(each, ast.Constant):  # None, most often, and then it says nothing new
+                    ctx.value(each)
             return ctx.poison(RejectedSyntax(ctx.span(node), *_REJECTED_COMPARE[type(op)]))
     if len(node.ops) == 1:
         left, right = ctx.values((node.left, node.comparators[0]))

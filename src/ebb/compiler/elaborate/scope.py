@@ -25,7 +25,7 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A local that is known when the kernel is compiled: an argument put in its place, a query, an unrolled variable."""
+    """A local that is known when the kernel is compiled: what an argument is, a query, an unrolled variable."""
 
     value: Value
     span: Span
@@ -58,8 +58,8 @@ class Loop:
 class Returns:
     """The returns of a function: where they lead, and what they give.
 
-    ``nested``: some return is not the last statement, so that it must leave a block. ``values`` has for each whether it is
-    written as a tuple, the value, and the place.
+    ``nested``: some return is not the last statement, so that it must leave a block. ``values`` has for each whether it
+    is written as a tuple, the value, and the place.
     """
 
     label: kir.Label
@@ -110,7 +110,7 @@ class Frame:
 def meet(states: list[frozenset[str] | None]) -> frozenset[str] | None:
     """The names that surely have values where several ways meet."""
     reached = [state for state in states if state is not None]
-    return frozenset.intersection(*reached) if reached else None
+    return frozenset[str].intersection(*reached) if reached else None
 
 
 def parameter_names(node: ast.FunctionDef) -> list[str]:
@@ -134,6 +134,27 @@ def find_stores(node: ast.FunctionDef) -> Stores:
             case _:
                 pass
     return stores
+
+
+def rejected_names(node: ast.FunctionDef) -> frozenset[str]:
+    """The names that Python would bind in the function by syntax that kernels do not have: that is reported itself."""
+    return frozenset(name for each in ast.walk(node) if each is not node for name in _bound_by_rejected(each))
+
+
+def _bound_by_rejected(node: ast.AST) -> tuple[str, ...]:
+    match node:
+        case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+            return (name,)
+        case ast.alias(name=name, asname=other):
+            return (other or name.partition(".")[0],)
+        case ast.NamedExpr(target=target):
+            return (target.id,)
+        case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)):
+            return (name,)
+        case ast.withitem(optional_vars=ast.Name(id=name)):
+            return (name,)
+        case _:
+            return ()
 
 
 def raw_lookup(source: SourceFunction, name: str) -> tuple[HostExpr, Any] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import BuiltinFunctionType, FunctionType, ModuleType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.intrinsics import Intrinsic
@@ -34,7 +34,7 @@ class Typed:
 
 @dataclass(frozen=True, slots=True)
 class Weak:
-    """A Python number, whose type its surroundings fix; ``value`` is what it is now, for its Python type and for messages."""
+    """A Python number, whose type its surroundings fix. ``value`` is what it is now."""
 
     host: HostExpr
     value: bool | int | float
@@ -57,7 +57,7 @@ class WeakChoice:
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """``[x, y]`` or ``(x, y)``, written or captured: a vector, a matrix, several values, or what a loop unrolls over."""
+    """``[x, y]`` or ``(x, y)``: a vector, a matrix, several values, or what a loop unrolls over."""
 
     elements: tuple[Value, ...]
     span: Span
@@ -83,7 +83,7 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Static:
-    """An object of the host: a relation, field, global, function, module, type, tuple, string, or something with attributes."""
+    """An object of the host: a relation, field, function, module, type, tuple, string, or any with attributes."""
 
     object: Any
     host: HostExpr
@@ -147,11 +147,18 @@ def noun(value: Value) -> str:
             return "something wrong"
 
 
+def is_items(found: Any) -> TypeGuard[tuple[Any, ...] | list[Any]]:
+    """Whether a captured object has elements that are looked at one by one."""
+    return isinstance(found, tuple | list)
+
+
 def static_noun(found: Any) -> str:
     """What an object of the host is, for messages."""
     for kind, text in _STATIC_NOUNS:
         if isinstance(found, kind):
             return text.format(name=getattr(found, "name", getattr(found, "__name__", "")))
+    if callable(found) and hasattr(found, "__name__"):
+        return f"the function '{found.__name__}'"
     return f"a {type(found).__name__}"
 
 
@@ -167,7 +174,7 @@ _STATIC_NOUNS: tuple[tuple[Any, str], ...] = (
     (ScalarType | KeyType | VectorType | MatrixType, "an Ebb type"),
     (ModuleType, "the module '{name}'"),
     (str, "a string"),
-    (tuple | list, "a captured list of values"),
+    ((tuple, list), "a captured list of values"),
     (FunctionType, "the Python function '{name}'"),
     (type, "the class '{name}'"),
     (type(None), "None"),

@@ -9,7 +9,7 @@ total = 0.0
 @ebb.kernel
 def step(v: vertices):
     global total  #~ E110
-    total += v.mass
+    total += v.mass  #~ E123
 
 
 step(vertices)

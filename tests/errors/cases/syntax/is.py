@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    if v.mass is None:  #~ E110 E115
+    if v.mass is None:  #~ E110
         v.mass = 1.0
 
 

@@ -7,7 +7,7 @@ vertices, edges = make_mesh()
 
 @ebb.kernel
 def step(v: vertices):
-    x, *rest = v.q  #~ E110 E225
+    x, *rest = v.q  #~ E110
     v.mass = x
 
 
