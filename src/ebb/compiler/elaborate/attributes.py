@@ -24,6 +24,7 @@ from ebb.compiler.elaborate.values import (
     Typed,
     Value,
     Weak,
+    is_items,
     noun,
 )
 from ebb.compiler.host import HostConst, HostItem
@@ -100,10 +101,10 @@ def indexed(ctx: Context, base: Value, indices: list[Value], span: Span) -> Valu
             return base
         case Typed(expr) if isinstance(expr.type, KeyType):
             return _key_item(ctx, expr, indices, span)
-        case Static(tuple() | list() as items, host, _):
+        case Static(items, host, _) if is_items(items):
             return _captured_item(ctx, base, items, host, indices, span)
-        case Static(dict() as items, host, _):
-            return _dictionary_item(ctx, base, items, host, indices, span)
+        case Static(dict(), _, _):
+            return _dictionary_item(ctx, base, indices, span)
         case Sequence(elements, _) if len(indices) == 1 and isinstance(indices[0], Weak):
             position = constant_index(ctx, indices[0], len(elements), None)
             return Poison(span) if position is None else elements[position]
@@ -118,7 +119,7 @@ def indexed(ctx: Context, base: Value, indices: list[Value], span: Span) -> Valu
 
 
 def checked_indices(ctx: Context, type_: Type, indices: list[Value], span: Span) -> tuple[kir.Expr, ...] | None:
-    """``indices`` into a vector or matrix, in range where they are constant; None, and an error, where they are wrong."""
+    """``indices`` into a vector or matrix, in range where constant; None, and an error, where they are wrong."""
     extents = type_.shape
     if not 1 <= len(indices) <= len(extents):
         ctx.report(NotIndexable(span, f"a value of type {type_!r}", len(indices)))
@@ -226,7 +227,8 @@ def _captured_item(ctx: Context, base: Static, items: Any, host: Any, indices: l
     return Poison(span) if expr is None else _component(ctx, expr, indices, span)
 
 
-def _dictionary_item(ctx: Context, base: Static, items: Any, host: Any, indices: list[Value], span: Span) -> Value:
+def _dictionary_item(ctx: Context, base: Static, indices: list[Value], span: Span) -> Value:
+    items, host = base.object, base.host
     match indices:
         case [Static(str() as name, _, where)] if name not in items:
             return ctx.poison(UnknownAttribute(where, f"'{base.name}'", name, tuple(map(str, items))))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
+
+import numpy as np
 
 from ebb.compiler import kir
 from ebb.compiler.elaborate.errors import KernelDiagnostic
@@ -26,9 +29,19 @@ from ebb.compiler.elaborate.guards import (
 )
 from ebb.compiler.elaborate.rejected import REJECTED_EXPRESSIONS, REJECTED_STATEMENTS
 from ebb.compiler.elaborate.scope import Frame
+from ebb.compiler.elaborate.source import Located
 from ebb.compiler.elaborate.values import BoundMember, Poison, Query, Typed, Value, WeakChoice
 from ebb.compiler.elaborate.values import Sequence as SequenceValue
-from ebb.compiler.host import HostConst, HostExpr, HostValue, describe, evaluate
+from ebb.compiler.host import (
+    HostAttribute,
+    HostConst,
+    HostExpr,
+    HostItem,
+    HostParameter,
+    HostValue,
+    describe,
+    evaluate,
+)
 from ebb.compiler.kir_walk import children
 from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.diagnostics.span import Span
@@ -96,7 +109,7 @@ class Context:
                 construct, alternative = REJECTED_STATEMENTS[type(statement)]
                 self.report(RejectedSyntax(self.opening(statement), construct, alternative))
 
-    def span(self, node: ast.AST) -> Span:
+    def span(self, node: Located) -> Span:
         return self.frame.source.span(node, self.frame.call)
 
     def opening(self, node: ast.stmt) -> Span:
@@ -127,7 +140,7 @@ class Context:
         self.out.append(statement)
 
     @contextmanager
-    def nested(self) -> Iterator[list[kir.Stmt]]:
+    def nested(self) -> Generator[list[kir.Stmt]]:
         """Statements emitted inside go to the list that this gives."""
         outer, self.out = self.out, []
         try:
@@ -200,6 +213,23 @@ class Context:
         known = self.uniforms.setdefault((host_identity(host), type_), (len(self.uniforms), HostValue(host, type_)))
         return kir.Uniform(known[0], type_, span)
 
+    def known(self, expr: kir.Expr) -> Any:
+        """The value of a captured array or of a component of one, which is then guarded; None for anything else."""
+        match expr:
+            case kir.Uniform(index):
+                host = next(value.expr for number, value in self.uniforms.values() if number == index)
+            case kir.Component(kir.Uniform(index), indices) if all(isinstance(each, kir.Const) for each in indices):
+                base = next(value.expr for number, value in self.uniforms.values() if number == index)
+                host = HostItem(base, tuple(each.value for each in indices if isinstance(each, kir.Const)))
+            case _:
+                return None
+        if is_parameter(host):
+            return None
+        has_value, value = self.evaluate(host, expr.span)
+        if has_value:
+            self.guard_value(host, value)
+        return value
+
     def guard_identity(self, host: HostExpr, value: Any) -> None:
         self._guard(host, IdentityGuard, value)
 
@@ -207,7 +237,9 @@ class Context:
         self._guard(host, TypeGuard, type_)
 
     def guard_value(self, host: HostExpr, value: Any) -> None:
-        self._guard(host, ValueGuard, value)
+        # A copy, since a list or an array may change in place.
+        mutable = isinstance(value, list | tuple | np.ndarray)
+        self._guard(host, ValueGuard, deepcopy(cast(Any, value)) if mutable else value)
 
     def guard_range(self, host: HostExpr, type_: ScalarType) -> None:
         self._guard(host, RangeGuard, type_)
@@ -223,6 +255,17 @@ class Context:
             # One elaboration sees one state of the host: only the ranges of a number can differ.
             key = (host_identity(host), kind, facts if kind is RangeGuard else None)
             self.guards.setdefault(key, kind(host, reader(host), *facts))
+
+
+def is_parameter(host: HostExpr) -> bool:
+    """Whether ``host`` is a parameter of the kernel or a part of one, which is never known when it is compiled."""
+    match host:
+        case HostParameter():
+            return True
+        case HostItem(base, _) | HostAttribute(base, _):
+            return is_parameter(base)
+        case _:
+            return False
 
 
 def is_stable(expr: kir.Expr) -> bool:

@@ -52,6 +52,16 @@ def operand(ctx: Context, value: Value) -> Operand | None:
             return Typed(kir.ReadGlobal(globl, globl.type, span))
         case Static(tuple() | list(), _, _):
             return _sequence(ctx, elements_of(ctx, value))
+        case Poison():
+            return None
+        case _:
+            _no_value(ctx, value)
+            return None
+
+
+def _no_value(ctx: Context, value: Static | Query | BoundMember | Nothing) -> None:
+    """The error that says why ``value`` cannot be computed with."""
+    match value:
         case Static(str() as text, _, span):
             ctx.report(StringValue(span, text))
         case Static(None, _, span):
@@ -60,16 +70,12 @@ def operand(ctx: Context, value: Value) -> Operand | None:
             advice = next((text for kind, text in _ADVICE if isinstance(found, kind)), "use its numbers or call it")
             ctx.report(NoMeaning(span, value.name, noun(value), advice))
         case Query(index, _, _, span):
-            ctx.report(
-                NoMeaning(span, span.text, noun(value), f"loop over it: for row in ebb.where(...): (by '{index.name}')")
-            )
+            advice = f"loop over it: 'for row in ...' gives the rows whose '{index.name}' is the key"
+            ctx.report(NoMeaning(span, span.text, noun(value), advice))
         case BoundMember(member, _, span):
             ctx.report(NoMeaning(span, member.name, noun(value), f"call it: {span.text}(...)"))
         case Nothing(function, span):
             ctx.report(NoValue(span, function))
-        case Poison():
-            pass
-    return None
 
 
 def typed(ctx: Context, value: Value) -> kir.Expr | None:

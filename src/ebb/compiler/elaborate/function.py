@@ -18,7 +18,7 @@ class Func:
     ) -> None:
         functools.update_wrapper(self, function)
         self.name: str = getattr(function, "__name__", repr(function))
-        self._function = function
+        self.function = function
         self._text = text
         self._frame_locals = frame_locals
 
@@ -29,7 +29,7 @@ class Func:
         Raises:
             KernelSyntaxError: there is no source, or the function has parameters that funcs lack.
         """
-        source = find_source(self._function, self._text, self._frame_locals)
+        source = find_source(self.function, self._text, self._frame_locals)
         check_signature(source)
         return source
 

@@ -1,14 +1,14 @@
 """What a specialisation assumes of the host: checked before each launch, so it must be cheap to check.
 
-A captured name is read at each launch. Where the kernel's code depends on more than the value of a number, a guard says on
-what; when it no longer holds, the kernel is elaborated anew.
+A captured name is read at each launch. Where the kernel's code depends on more than the value of a number, a guard says
+on what; when it no longer holds, the kernel is elaborated anew.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -70,7 +70,8 @@ class ValueGuard:
     def holds(self, parameters: tuple[Any, ...]) -> bool:
         try:
             found = self.read(parameters)
-            same = np.array_equal(found, self.value) if isinstance(found, np.ndarray) else found == self.value
+            is_array = isinstance(found, np.ndarray)
+            same: Any = np.array_equal(cast(Any, found), self.value) if is_array else found == self.value
             return type(found) is type(self.value) and bool(same)
         except Exception:
             return False
@@ -129,7 +130,8 @@ Guard: TypeAlias = IdentityGuard | TypeGuard | ValueGuard | RangeGuard | ArrayGu
 def structure_of(value: Any) -> Any:
     """The type of ``value``, for tuples and lists together with the structures of their elements."""
     if isinstance(value, tuple | list):
-        return (type(value), *map(structure_of, value))
+        elements = cast("tuple[Any, ...]", value)
+        return (type(elements), *map(structure_of, elements))
     return type(value)
 
 

@@ -72,9 +72,9 @@ def inline_member(
     return _inline(ctx, source, member.name, given, named or {}, span)
 
 
-def member_function(function: Any) -> Any:
+def member_function(function: Callable[..., Any]) -> Callable[..., Any]:
     """The Python function of a member, which may have been made a func too."""
-    return function.__wrapped__ if isinstance(function, Func) else function
+    return function.function if isinstance(function, Func) else function
 
 
 def new_frame(source: SourceFunction, title: str, parent: Frame | None, call: Span | None, label: kir.Label) -> Frame:
@@ -87,8 +87,8 @@ def new_frame(source: SourceFunction, title: str, parent: Frame | None, call: Sp
 def local_names(source: SourceFunction, stores: Stores) -> frozenset[str]:
     """The names that are local to a function, as in Python: its parameters and what it assigns.
 
-    What only ``+=`` changes and exists outside is not, nor is a relation or field that ``=`` would hide: these are errors,
-    or reductions into a global, which say so where they stand.
+    What only ``+=`` changes and exists outside is not, nor is a relation or field that ``=`` would hide: these are
+    errors, or reductions into a global, which say so where they stand.
     """
     names = {*parameter_names(source.node), *stores.loops}
     for name in stores.count:
@@ -113,7 +113,7 @@ def return_value(ctx: Context, node: ast.Return) -> None:
     returns, span = ctx.frame.returns, ctx.span(node)
     value = None if node.value is None else ctx.value(node.value)
     if returns.nested:
-        # What the function returns is known when all of its returns are: until then the number of the return stands here.
+        # What the function gives is known when all of its returns are: until then the number of the return stands here.
         number = kir.Const(len(returns.values), int32, span)
         ctx.emit(kir.Assign(_pending(returns.label), (), number, span))
         ctx.emit(kir.Leave(returns.label, span))
@@ -362,7 +362,7 @@ def _stored(ctx: Context, returns: Returns, body: kir.Body, result: _Result) -> 
     for statement in body:
         if isinstance(statement, kir.Assign) and statement.local == pending:
             assert isinstance(statement.value, kir.Const)
-            value = returns.values[statement.value.value][1]
+            value = returns.values[int(statement.value.value)][1]
             with ctx.nested() as stores:
                 if value is not None:
                     result.store(value)

@@ -14,7 +14,8 @@ from ebb.compiler.elaborate.context import Context
 from ebb.compiler.elaborate.convert import convert, typed
 from ebb.compiler.elaborate.errors_calls import AffineArguments, KeyArgument, NotGrouped, RandomType, WhereArguments
 from ebb.compiler.elaborate.errors_types import NotCompileTime
-from ebb.compiler.elaborate.values import Poison, Query, Sequence, Static, Typed, Value, Weak, noun
+from ebb.compiler.elaborate.values import Poison, Query, Sequence, Static, Typed, Value, Weak, is_items, noun
+from ebb.compiler.host import HostConst
 from ebb.diagnostics.span import Span
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
@@ -107,16 +108,14 @@ def _rows(ctx: Context, value: Value) -> list[Value] | None:
     match value:
         case Sequence(elements, _):
             return list(elements)
-        case Static(list() | tuple() | np.ndarray() as items, host, span):
+        case Static(items, host, span) if is_items(items):
             ctx.guard_value(host, items)
             return [Static(item, host, span) for item in items]
-        case Typed(kir.Uniform(index, _, span)):
-            host = next(each.expr for number, each in ctx.uniforms.values() if number == index)
-            has_value, items = ctx.evaluate(host, span)
-            if not has_value or not isinstance(items, np.ndarray) or items.ndim != 2:
+        case Typed(expr):
+            items = ctx.known(expr)
+            if not isinstance(items, np.ndarray) or items.ndim != 2:
                 return None
-            ctx.guard_value(host, items)
-            return [Static(row.tolist(), host, span) for row in items]
+            return [Static(row.tolist(), HostConst(None), expr.span) for row in items]
         case _:
             return None
 
@@ -125,7 +124,7 @@ def _entries(ctx: Context, row: Value) -> tuple[Fraction, ...] | None:
     match row:
         case Sequence(elements, _):
             entries = [_entry(ctx, element) for element in elements]
-        case Static(list() | tuple() | np.ndarray() as items, _, span):
+        case Static(items, _, span) if is_items(items):
             entries = [_fraction(ctx, item, span) for item in items]
         case Poison():
             return None
@@ -147,6 +146,8 @@ def _entry(ctx: Context, value: Value) -> Fraction | None:
             return _fraction(ctx, number, span)
         case Typed(kir.Const(number, ScalarType(), span)):
             return _fraction(ctx, number, span)
+        case Typed(expr) if isinstance(number := ctx.known(expr), np.generic):
+            return _fraction(ctx, number.item(), expr.span)
         case other:
             ctx.report(NotCompileTime(other.span, "an entry of the matrix of 'ebb.affine'"))
             return None
@@ -155,7 +156,7 @@ def _entry(ctx: Context, value: Value) -> Fraction | None:
 def _fraction(ctx: Context, number: Any, span: Span) -> Fraction | None:
     """``number`` as a fraction: the one of a small denominator that it was rounded from, if there is one."""
     try:
-        exact = Fraction(number.item() if isinstance(number, np.generic) else number)
+        exact = Fraction(number)
     except (TypeError, ValueError, OverflowError):
         ctx.report(AffineArguments(span, f"takes numbers, not {number!r}"))
         return None

@@ -144,15 +144,6 @@ def _name(ctx: Context, node: ast.Name) -> Place | Value:
             return value
 
 
-def _base(ctx: Context, node: ast.expr) -> _Whole | Value:
-    """What a longer place begins with. A member stands for its value there, whether it can be assigned or not."""
-    match _place_or_value(ctx, node):
-        case MemberPlace(member, key, span):
-            return attribute(ctx, Typed(key), member.name, span, span)
-        case base:
-            return base
-
-
 def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
     base, span = _opened(ctx, _place_or_value(ctx, node.value)), ctx.span(node)
     key = _as_key(base)

@@ -11,11 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from types import CellType, CodeType, FunctionType
-from typing import Any
+from typing import Any, TypeAlias
 
 from ebb.compiler.elaborate.errors import NotAFunction, SourceChanged, SourceNotFound
 from ebb.diagnostics.span import Source, Span
 from ebb.errors import KernelSyntaxError
+
+Located: TypeAlias = ast.expr | ast.stmt | ast.arg | ast.keyword
+"""The nodes of a syntax tree that say where they stand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +44,10 @@ class SourceFunction:
     def _lines(self) -> list[str]:
         return self.source.text.split("\n")
 
-    def span(self, node: ast.AST, caller: Span | None = None) -> Span:
+    def span(self, node: Located, caller: Span | None = None) -> Span:
         """Where ``node`` stands. The columns of ``ast`` count UTF-8 bytes, those of spans characters."""
-        line, end_line = node.lineno, node.end_lineno or node.lineno  # type: ignore[attr-defined]
-        column, end_column = node.col_offset, node.end_col_offset  # type: ignore[attr-defined]
+        line, end_line = node.lineno, node.end_lineno or node.lineno
+        column, end_column = node.col_offset, node.end_col_offset or node.col_offset
         return Span(self.source, line, self._column(line, column), end_line, self._column(end_line, end_column), caller)
 
     def _column(self, line: int, byte: int) -> int:
@@ -54,8 +57,8 @@ class SourceFunction:
     @property
     def builtins(self) -> Mapping[str, Any]:
         """The builtin names that the function sees."""
-        found = self.namespace.get("__builtins__", builtins)
-        return found if isinstance(found, dict) else vars(found)
+        found: Any = self.namespace.get("__builtins__", builtins)
+        return found if isinstance(found, dict) else vars(found)  # pyright: ignore[reportUnknownVariableType]
 
 
 def find_source(
