@@ -48,7 +48,7 @@ def mark_line(case: Path, diagnostic: Diagnostic) -> int | None:
 
 
 def user_text(error: ebb.EbbError, work: Path) -> str:
-    text = str(error).replace(f"{work}/", "").replace(f"{HERE}/cases/", "")
+    text = str(error).replace(f"{work}/", "").replace(f"{HERE}/cases/", "").replace(f"{HERE}/", "")
     return re.sub(r"0x[0-9a-f]{6,}", "0x...", f"{type(error).__name__}: {text}\n")
 
 
