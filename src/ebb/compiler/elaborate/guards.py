@@ -132,7 +132,7 @@ def structure_of(value: Any) -> Any:
     if isinstance(value, tuple | list):
         elements = cast("tuple[Any, ...]", value)
         return (type(elements), *map(structure_of, elements))
-    return type(value)
+    return cast("type[Any]", type(value))
 
 
 def reader(expr: HostExpr) -> Reader:
