@@ -18,8 +18,11 @@ from ebb.compiler import kir
 from ebb.compiler.arguments import uniform_values
 from ebb.compiler.elaborate.elaborate import elaborate
 from ebb.compiler.kir_walk import queried_fields
-from .kernel_text import KernelText, kernels
-from .worlds import World, worlds
+from ebb.compiler.phases.check import check_phases
+from ebb.compiler.phases.stencil import check_stencil, collect_stencil
+
+from .kernel_text import KernelText, write_kernel
+from .worlds import World, build_world
 
 _numbers = itertools.count()
 
@@ -30,6 +33,7 @@ class Program:
 
     world: World
     kernel: KernelText
+    seed: int
 
     @property
     def relation(self) -> ebb.Relation:
@@ -40,10 +44,20 @@ class Program:
         return f"a program on {self.kernel.relation} of {sizes}, grouped by {self.world.grouped}:\n{self.kernel.text}"
 
 
-@st.composite
-def programs(draw: Any) -> Program:
-    world = draw(worlds())
-    return Program(world, draw(kernels(world.grouped)))
+def programs(salt: int = 0) -> st.SearchStrategy[Program]:
+    """Random programs. An example is a few bytes, so that no two are alike, and shrinks by losing statements and rows.
+
+    Args:
+        salt: other salts, other programs, also where Hypothesis takes the same bytes.
+    """
+    return st.binary(min_size=16, max_size=16).map(lambda data: _program(data, salt))
+
+
+def _program(data: bytes, salt: int) -> Program:
+    mask, size, *seeds = (int.from_bytes(data[at : at + 4], "big") for at in (0, 4, 8, 12))
+    world = build_world(seeds[0] + salt, size)
+    # Of 32 random bits half are 1; of the 16 that are left three quarters, so that most statements stay.
+    return Program(world, write_kernel(seeds[1] + (salt << 32), mask | mask >> 16, world.grouped), sum(seeds))
 
 
 @contextmanager
@@ -70,6 +84,18 @@ def elaborated(program: Program, text: str | None = None) -> kir.Kernel:
         return elaborate(kernel.source, program.relation, (), ()).kernel
 
 
+def accepted(program: Program) -> kir.Kernel | None:
+    """The kernel where the compiler takes it; None where it raises an ``EbbError``. It may raise nothing else."""
+    try:
+        kernel = elaborated(program)
+        check_phases(kernel)
+        check_stencil(kernel, collect_stencil(kernel), program.relation)
+    except ebb.EbbError as error:
+        assert str(error).startswith("error[E")
+        return None
+    return kernel
+
+
 def interpret(program: Program, kernel: kir.Kernel, order: Sequence[int] | None = None) -> dict[str, Any]:
     """What all places hold after ``kernel`` has run on the reference interpreter, rows in ``order``."""
     world = program.world
@@ -83,7 +109,7 @@ def interpret(program: Program, kernel: kir.Kernel, order: Sequence[int] | None 
     return world.state()
 
 
-def orders(program: Program, seed: int) -> tuple[Any, Any]:
+def orders(program: Program) -> tuple[Any, Any]:
     """Two random orders of the rows of the kernel."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(program.seed)
     return random.permutation(program.relation.size), random.permutation(program.relation.size)

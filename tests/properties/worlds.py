@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from hypothesis import strategies as st
 
 import ebb
+
+from .functions import FUNCTIONS, add_members
 
 NUMBERS = {
     "i": ebb.int32,
@@ -44,7 +45,7 @@ class World:
     @property
     def names(self) -> dict[str, Any]:
         names = {"ebb": ebb, "half": 0.5, "three": 3, "turns": ((1, 0), (0, -1)), "shift": np.array([0.5, 0.0, -1.0])}
-        return names | self.relations | self.globals
+        return names | FUNCTIONS | self.relations | self.globals
 
     @property
     def fields(self) -> list[ebb.Field]:
@@ -77,26 +78,32 @@ def difference(left: dict[str, Any], right: dict[str, Any]) -> str | None:
     return None
 
 
-@st.composite
-def worlds(draw: Any) -> World:
-    """Relations of 0 to 8 rows with random fields, keys and groupings."""
-    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    count = draw(st.integers(1, 5))
-    shape = (draw(st.integers(1, 3)), draw(st.integers(1, 3)))
+def build_world(seed: int, size: int) -> World:
+    """Relations of 0 to 8 rows with random fields, keys and groupings.
+
+    Args:
+        seed: decides all values.
+        size: decides sizes and groupings; 0 gives the smallest.
+    """
+    random = np.random.default_rng(seed)
+    size, count = divmod(size, 5)
+    size, links = divmod(size, 9)
+    size, rows = divmod(size, 3)
+    size, columns = divmod(size, 3)
     relations = {
-        "nodes": ebb.Relation("nodes", size=count),
-        "links": ebb.Relation("links", size=draw(st.integers(0, 8))),
-        "cells": ebb.Relation("cells", shape=shape, periodic=(True, False)),
+        "nodes": ebb.Relation("nodes", size=count + 1),
+        "links": ebb.Relation("links", size=links),
+        "cells": ebb.Relation("cells", shape=(rows + 1, columns + 1), periodic=(True, False)),
     }
     for name, relation in relations.items():
         for of, type_ in NUMBERS.items():
             relation.new_field(of, type_, init=_values(random, type_, relation.shape))
         for of, target in KEYS[name].items():
             relation.new_field(of, relations[target], init=_keys(random, relations[target], relation.shape))
-    grouped = draw(st.sampled_from(((), ("a",), ("a",), ("a",), ("a", "b"))))
+    grouped = ((), ("a",), ("a",), ("a",), ("a", "b"))[size % 5]
     for key in grouped:
         relations["links"].group_by(key)
-    _add_members(relations)
+    add_members(relations)
     globals_ = {name: ebb.Global(type_, _values(random, type_, ())) for name, type_ in GLOBALS.items()}
     world = World(relations, globals_, grouped)
     world.save()
@@ -114,27 +121,3 @@ def _keys(random: np.random.Generator, target: ebb.Relation, shape: tuple[int, .
     if not target.is_grid:
         return random.integers(0, target.size, size=shape)
     return np.stack([random.integers(0, extent, size=shape) for extent in target.shape], axis=-1)
-
-
-def _add_members(relations: dict[str, ebb.Relation]) -> None:
-    links, cells, nodes = relations["links"], relations["cells"], relations["nodes"]
-
-    @nodes.member
-    def out(n):
-        return ebb.where(links.a, n)
-
-    @cells.member("__call__")
-    def offset(c, di, dj):
-        return ebb.affine(cells, [[1, 0, di], [0, 1, dj]], c)
-
-    @cells.member
-    def up(c):
-        return ebb.affine(cells, [[1, 0, 0], [0, 1, 1]], c, edge="clamp")
-
-    @nodes.member
-    def weight(n):
-        return n.i * 2
-
-    @weight.reducer("+")
-    def weight_add(n, value):
-        n.i += value

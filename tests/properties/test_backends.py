@@ -1,0 +1,54 @@
+"""The cpu backend gives what the reference interpreter gives: floats are exact here, so to the bit."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+import ebb
+
+from .programs import defined, programs
+from .worlds import difference
+
+QUIET = {"deadline": None, "suppress_health_check": list(HealthCheck)}
+
+
+def run_on(program, kernel, backend, **options):
+    """What all places hold after a launch, and the codes of the error that it raised."""
+    program.world.restore()
+    codes = ()
+    with ebb.backend(backend, **options):
+        try:
+            kernel(program.relation)
+        except ebb.EbbError as error:
+            codes = error.codes
+    return program.world.state(), codes
+
+
+def check_backends(program):
+    with defined(program) as kernel:
+        try:
+            kernel.check(program.relation)
+        except ebb.EbbError:
+            assume(False)
+        expected, failure = run_on(program, kernel, "reference")
+        for threads in (1, 3):
+            found, codes = run_on(program, kernel, "cpu", threads=threads)
+            assert codes == failure
+            if not failure:
+                assert difference(expected, found) is None
+
+
+@pytest.mark.parametrize("salt", range(2))
+@settings(max_examples=100, derandomize=True, **QUIET)
+@given(data=st.data())
+def test_cpu_is_the_reference(salt, data):
+    check_backends(data.draw(programs(20 + salt)))
+
+
+@pytest.mark.slow
+@settings(max_examples=2000, **QUIET)
+@given(program=programs())
+def test_cpu_is_the_reference_on_many_kernels(program):
+    check_backends(program)
