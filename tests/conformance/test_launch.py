@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
 import sys
 import textwrap
+import threading
 
 import numpy as np
 import pytest
@@ -385,3 +387,65 @@ def test_the_error_shows_file_line_and_source():
     at = next(i for i, each in enumerate(lines) if "# here" in each)
     shown, carets = lines[at], lines[at + 1]
     assert shown[carets.index("^") : carets.rindex("^") + 1] == "y"
+
+
+def test_launches_from_several_python_threads(backend):
+    shared = rows_with(x=(ebb.float64, np.arange(2000)), y=(ebb.float64, np.zeros(2000)))
+    own = [rows_with(y=(ebb.float64, np.zeros(50))) for _ in range(3)]
+    messages = []
+
+    @ebb.kernel
+    def add(r, amount):
+        r.y += amount
+
+    @ebb.kernel
+    def fail(r: shared):
+        assert r.x != 1234
+
+    def work(rows, amount):
+        for _ in range(20):
+            add(rows, amount)
+            if backend == "cpu":
+                messages.append(str(rejects(ebb.KernelAssertionError, "E401", lambda: fail(shared))).splitlines()[0])
+
+    threads = [threading.Thread(target=work, args=(rows, amount)) for amount, rows in enumerate(own)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for amount, rows in enumerate(own):
+        np.testing.assert_array_equal(rows.y.to_numpy(), np.full(50, 20.0 * amount))
+    if backend == "cpu":
+        assert len(messages) == 60 and len(set(messages)) == 1 and "rows[1234]" in messages[0]
+
+
+def test_breakpoint_in_a_kernel_on_the_reference(monkeypatch):
+    rows, seen = rows_with(x=(ebb.float64, [1, 2])), []
+
+    @ebb.kernel
+    def program(r: rows):
+        y = r.x * 10
+        if r.x > 1:
+            breakpoint()
+        r.x = y
+
+    def look():
+        frame = sys._getframe(1)
+        seen.append((frame.f_lineno, float(frame.f_locals["y"])))
+
+    monkeypatch.setattr(sys, "breakpointhook", look)
+    with ebb.backend("reference"):
+        program(rows)
+    assert seen == [(program.source.node.body[1].body[0].lineno, 20.0)]
+    np.testing.assert_array_equal(rows.x.to_numpy(), [10, 20])
+
+
+def test_a_program_on_standard_input(tmp_path):
+    path = tmp_path / "program.py"
+    path.write_text(
+        "import ebb\nrows = ebb.Relation('rows', size=2)\nrows.new_field('x', ebb.int32)\n"
+        "@ebb.kernel\ndef add(r: rows):\n    r.x += 7\nadd(rows)\nprint(rows.x.to_numpy().tolist())\n"
+    )
+    with path.open() as program:
+        process = subprocess.run([sys.executable, "-"], stdin=program, capture_output=True, text=True, check=False)
+    assert process.stdout == "[7, 7]\n", process.stderr

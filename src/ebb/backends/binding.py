@@ -60,11 +60,15 @@ class Binding:
             self._bind_argument(argument)
 
     def run(self, uniforms: tuple[Any, ...]) -> None:
-        """Launches the code once.
+        """Launches the code once. Launches from several Python threads wait for one another.
 
         Raises:
             EbbError: an assertion or a check of the kernel failed for some row.
         """
+        with self._device.lock:
+            self._run(uniforms)
+
+    def _run(self, uniforms: tuple[Any, ...]) -> None:
         words = self._block.numbers
         for word, field in self._fields:
             words[word] = field.address

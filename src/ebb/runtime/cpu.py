@@ -93,12 +93,13 @@ class CpuDevice:
 
     Attributes:
         threads: how many threads a launch may use.
+        lock: held from when an argument block is filled until the failure of the launch has been read.
     """
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
         self.name = "cpu"
-        self._lock = threading.Lock()
+        self.lock = threading.Lock()
 
     def load(self, name: str, image: bytes) -> CpuCode:
         """Links the object code ``image`` into the process.
@@ -117,7 +118,7 @@ class CpuDevice:
             raise BackendError(NoMachineCode(llvm.get_process_triple(), str(error))) from error
 
     def launch(self, code: CpuCode, block: ArgumentBlock, shares: int) -> bool:
-        """Runs ``code`` over its blocks of rows, which at most ``shares`` threads share.
+        """Runs ``code`` over its blocks of rows, which at most ``shares`` threads share. The caller holds ``lock``.
 
         Returns:
             Whether some row failed.
@@ -125,11 +126,10 @@ class CpuDevice:
         threads = shares if shares < self.threads else self.threads
         if threads > 1:
             threads = usable_threads(threads)
-        with self._lock:
-            block.numbers[THREADS] = threads
-            if threads == 1 or block.numbers[FORK]:
-                return code.launch(block.address) != 0
-            return _launch_on_python_threads(code, block, threads)
+        block.numbers[THREADS] = threads
+        if threads == 1 or block.numbers[FORK]:
+            return code.launch(block.address) != 0
+        return _launch_on_python_threads(code, block, threads)
 
     def describe(self) -> str:
         """The processor and how it runs threads, in words."""
