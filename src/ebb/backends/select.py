@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -45,7 +45,7 @@ def set_backend(name: str, **options: Any) -> None:
 
 
 @contextmanager
-def backend(name: str, **options: Any) -> Iterator[None]:
+def backend(name: str, **options: Any) -> Generator[None, None, None]:
     """Makes kernels run on the backend ``name`` within a ``with`` statement. Arguments as for ``set_backend``.
 
     Raises:

@@ -83,30 +83,35 @@ class HostValue:
     type: Type
 
 
-HOST_OPERATORS: Mapping[str, Callable[..., Any]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "//": operator.floordiv,
-    "%": operator.mod,
-    "**": operator.pow,
-    "&": operator.and_,
-    "|": operator.or_,
-    "^": operator.xor,
-    "<<": operator.lshift,
-    ">>": operator.rshift,
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "neg": operator.neg,
-    "pos": operator.pos,
-    "invert": operator.invert,
-    "not": operator.not_,
+_NAMES = {
+    "+": "add",
+    "-": "sub",
+    "*": "mul",
+    "/": "truediv",
+    "//": "floordiv",
+    "%": "mod",
+    "**": "pow",
+    "&": "and_",
+    "|": "or_",
+    "^": "xor",
+    "<<": "lshift",
+    ">>": "rshift",
+    "==": "eq",
+    "!=": "ne",
+    "<": "lt",
+    "<=": "le",
+    ">": "gt",
+    ">=": "ge",
+    "neg": "neg",
+    "pos": "pos",
+    "invert": "invert",
+    "not": "not_",
 }
+
+#: The operators of Python by their symbols.
+HOST_OPERATORS: Mapping[str, Callable[..., Any]] = {symbol: getattr(operator, name) for symbol, name in _NAMES.items()}
+
+_PREFIXES = {"neg": "-", "pos": "+", "invert": "~", "not": "not "}
 
 
 def evaluate(expr: HostExpr, parameters: tuple[Any, ...]) -> Any:
@@ -151,7 +156,7 @@ def describe(expr: HostExpr) -> str:
         case HostItem(base, index):
             return f"{describe(base)}[{index!r}]"
         case HostOperation(op, (operand,)) if isinstance(op, str):
-            return f"{ {'neg': '-', 'pos': '+', 'invert': '~', 'not': 'not '}[op]}{describe(operand)}"
+            return f"{_PREFIXES[op]}{describe(operand)}"
         case HostOperation(op, (left, right)) if isinstance(op, str):
             return f"({describe(left)} {op} {describe(right)})"
         case HostOperation(op, operands):

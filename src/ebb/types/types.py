@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from numbers import Integral
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -241,7 +242,7 @@ def _as_element(value: Any) -> Element:
 
 
 def _as_extent(n: Any) -> int:
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+    if isinstance(n, bool) or not isinstance(n, Integral) or n < 1:
         raise TypeError(f"the extent of a vector or matrix is an integer >= 1, not {n!r}")
     return int(n)
 
