@@ -19,12 +19,13 @@ import software
 
 FLOOR = np.array([0.955, 0.945, 0.925])
 SHADE = np.array([0.30, 0.30, 0.36])
+CLAY = np.array([0.80, 0.36, 0.25])
 SUN = np.array([-0.42, -0.50, 0.76]) / np.linalg.norm([-0.42, -0.50, 0.76])
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A surface to draw: ``points`` (n, 3) with z up, ``triangles`` (m, 3), and RGB colours (n, 3) from 0 to 1."""
+    """A surface to draw: ``points`` (n, 3) with z up, ``triangles`` (m, 3), RGB colours (n, 3), or one, from 0 to 1."""
 
     points: np.ndarray
     triangles: np.ndarray
@@ -49,36 +50,36 @@ class Floor:
     image: np.ndarray
 
 
-def save_strip(
-    path: Path, moments: Sequence[np.ndarray], triangles: np.ndarray, colors: np.ndarray, width: int = 2200
-) -> str:
-    """Draw the surface at several moments, from left to right, and say what drew it.
+def save_strip(path: Path, moments: Sequence[Surface], width: int = 2200, elevation: float = 15.0) -> str:
+    """Draw several moments side by side, from left to right, and say what drew them.
 
     Args:
         path: of the PNG file.
-        moments: the points at each, of the shape (n, 3), z up, above the floor z = 0.
-        triangles: shape (m, 3).
-        colors: RGB from 0 to 1, of the shape (n, 3), or (3,) for one.
-        width: in pixels.
+        moments: what is to be seen at each.
+        width: of the picture, in pixels.
+        elevation: how far from above it is seen, in degrees.
     """
-    everything = np.concatenate(moments)
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    step = 1.12 * max(np.ptp(points[:, 0]) for points in moments)
-    shift = np.arange(len(moments)) - (len(moments) - 1) / 2
-    middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0])
-    placed = [points - middle + [offset * step, 0, 0] for points, offset in zip(moments, shift, strict=True)]
+    low = np.min([moment.points.min(axis=0) for moment in moments], axis=0)
+    high = np.max([moment.points.max(axis=0) for moment in moments], axis=0)
+    step = 1.12 * max(float(np.ptp(moment.points[:, 0])) for moment in moments)
+    shift = step * (np.arange(len(moments)) - (len(moments) - 1) / 2)
+    middle = (low + high) / 2 * [1, 1, 0]
+    first = np.cumsum([0, *(len(moment.points) for moment in moments)])
     surface = Surface(
-        np.concatenate(placed),
-        np.concatenate([triangles + i * len(colored(moments[0], colors)) for i in range(len(placed))]),
-        np.concatenate([colored(points, colors) for points in placed]),
+        np.concatenate([m.points - middle + [x, 0, 0] for m, x in zip(moments, shift, strict=True)]),
+        np.concatenate([m.triangles + start for m, start in zip(moments, first, strict=False)]),
+        np.concatenate([np.broadcast_to(m.colors, m.points.shape) for m in moments]),
     )
-    wide, tall = len(moments) * step * 1.04, (high[2] - min(low[2], 0)) * 1.22
-    height = round(width * tall / wide / 2) * 2
     # A long lens: the bodies at the ends are seen from the front, as the one in the middle.
-    angle = 13.0 * height / width * 2.2
-    distance = tall / 2 / np.tan(np.radians(angle / 2))
-    target = np.array([0, 0, tall / 2 - 0.09 * tall])
-    camera = Camera(target + distance * np.array([0, -0.965, 0.26]), target, angle)
+    up = np.array([0, np.sin(np.radians(elevation)), np.cos(np.radians(elevation))])
+    rise = surface.points @ up
+    tall, wide = 1.16 * float(np.ptp(rise)), 1.04 * len(moments) * step
+    target = up * (rise.min() + rise.max()) / 2 - 0.03 * tall * up
+    height = round(width * tall / wide / 2) * 2
+    distance = 5.0 * wide / 2
+    camera = Camera(
+        target + distance * np.array([0, -up[2], up[1]]), target, 2 * np.degrees(np.arctan(tall / 2 / distance))
+    )
     return draw(path, surface, camera, (width, height))
 
 
@@ -92,11 +93,6 @@ def draw(path: Path, surface: Surface, camera: Camera, size: tuple[int, int]) ->
         return "PyVista"
     software.draw(path, surface, floor, camera, size, SUN)
     return f"the software renderer, since {missing}"
-
-
-def colored(points: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """One colour, or one for each point, as an array of the shape of ``points``."""
-    return np.broadcast_to(colors, points.shape)
 
 
 def cast_shadow(surface: Surface, samples: int = 64) -> Floor:

@@ -1,7 +1,7 @@
 """A body of springs falls, bounces and settles.
 
-The springs are the edges of a tetrahedral mesh (Bernstein et al. 2015, figure 1), here with gravity, a floor, damping, and
-a pressure that keeps the volume of each tetrahedron: with springs alone a squashed body turns inside out and stays so.
+The springs are the edges of a tetrahedral mesh (Bernstein et al. 2015, figure 1), here with gravity, a floor, damping,
+and a pressure that keeps the volume of each tetrahedron: with springs alone a squashed body turns inside out.
 
     python examples/spring_mass.py --save out/ball.png
     python examples/spring_mass.py --mesh bunny --save out/bunny.png
@@ -22,16 +22,16 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import ebb
 from bodies import Body, load_body
 from ebb.domains import TetMesh
-from pictures import save_strip
+from pictures import CLAY, Surface, save_strip
 
 # In metres, kilograms and seconds, for a body 1 m across.
 DENSITY = 1.0
-STIFFNESS = 2200.0  # pascals: about Young's modulus of the springs
-BULK = 1600.0  # pascals: the pressure for a change of volume
+STIFFNESS = 1400.0  # pascals: about Young's modulus of the springs
+BULK = 1400.0  # pascals: the pressure for a change of volume
 DAMPING = 1.5e-3  # seconds: by this much the force of a spring follows the rate of its stretch
 FRICTION = 12.0  # 1 / second: how fast the floor stops what slides on it
 GRAVITY = 9.81
-SECONDS = 2.6
+SECONDS = 2.8
 
 kinetic = ebb.Global(ebb.float64, 0.0)
 elastic = ebb.Global(ebb.float64, 0.0)
@@ -257,8 +257,8 @@ def main(
     mesh: Annotated[str, typer.Option(help="ball, bunny, or a file: a solid, or a closed surface to fill")] = "ball",
     steps: Annotated[int | None, typer.Option(help=f"how many; by default {SECONDS} seconds", min=1)] = None,
     dt: Annotated[float | None, typer.Option(help="seconds a step; by default what is stable")] = None,
-    drop: Annotated[float, typer.Option(help="metres from the floor to the lowest point")] = 0.6,
-    resolution: Annotated[int, typer.Option(help="tetrahedra along the longest side", min=2)] = 26,
+    drop: Annotated[float, typer.Option(help="metres from the floor to the lowest point")] = 0.4,
+    resolution: Annotated[int, typer.Option(help="tetrahedra along the longest side", min=2)] = 20,
     backend: Annotated[str, typer.Option(help="cpu or reference")] = "cpu",
     threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the last state (.vtu, .vtk, .veg)")] = None,
@@ -277,7 +277,8 @@ def main(
         console.print(f"{body.name}: {body.solid.tetrahedra.size} tetrahedra, {steps} steps of {dt:.3g} s")
         moments = simulate(body, steps, dt, console)
         if save is not None and save.suffix == ".png":
-            drawn = save_strip(save, choose_moments(moments), surface(body)[1], np.array([0.80, 0.36, 0.25]))
+            triangles = surface(body)[1]
+            drawn = save_strip(save, [Surface(points, triangles, CLAY) for points in choose_moments(moments)])
             console.print(f"drawn by {drawn}", markup=False)
         elif save is not None:
             body.solid.save(save, positions="q", fields=[] if save.suffix == ".veg" else ["qd"])
