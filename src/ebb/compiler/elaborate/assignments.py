@@ -39,7 +39,7 @@ from ebb.diagnostics.span import Span
 from ebb.errors import PhaseError
 from ebb.relations.globals import Global
 from ebb.types.rules import reduce_mismatch
-from ebb.types.types import as_type, is_type
+from ebb.types.types import Type, as_type, is_type, uint32, uint64
 
 _REDUCTIONS: Mapping[str, kir.ReduceOp] = {op.value: op for op in kir.ReduceOp}
 
@@ -220,7 +220,7 @@ def _unpack(ctx: Context, targets: list[ast.expr], value: Value, span: Span) -> 
     names = {each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
     if elements is not None:
         # All values are taken before the first is stored; the first needs no copy, since nothing is stored before it.
-        elements = [*elements[:1], *(_snapshot(ctx, element, names) for element in elements[1:])]
+        elements = [*elements[:1], *(snapshot(ctx, element, names) for element in elements[1:])]
     for position, target in enumerate(targets):
         store(ctx, target, Poison(span) if elements is None else elements[position], span)
 
@@ -250,8 +250,8 @@ def elements_to_unpack(ctx: Context, value: Value, count: int, span: Span) -> li
     return elements
 
 
-def _snapshot(ctx: Context, value: Value, names: set[str]) -> Value:
-    """``value`` so that storing into locals ``names``, fields and globals does not change it."""
+def snapshot(ctx: Context, value: Value, names: set[str]) -> Value:
+    """``value`` so that storing into the locals ``names``, fields and globals does not change it."""
     match value:
         case Typed(kir.Const() | kir.Uniform()):
             return value
@@ -260,7 +260,7 @@ def _snapshot(ctx: Context, value: Value, names: set[str]) -> Value:
         case Typed(expr):
             return Typed(ctx.temporary("value", expr))
         case Sequence(elements, span):
-            return Sequence(tuple(_snapshot(ctx, element, names) for element in elements), span)
+            return Sequence(tuple(snapshot(ctx, element, names) for element in elements), span)
         case _:
             return repeatable(ctx, value)
 
@@ -287,11 +287,22 @@ def change(ctx: Context, place: Place, op: str, value: Value, old: Value, span: 
             _write(ctx, place, binary(ctx, op, old, value, span), span)
         case _ if op == "-":
             # Sums of terms and of their negatives commute: -= is the reduction by +.
-            reduce_into(ctx, place, kir.ReduceOp.ADD, unary(ctx, "-", value, value.span), span)
+            reduce_into(ctx, place, kir.ReduceOp.ADD, _negated(ctx, value, place_type(place)), span)
         case _ if op in _REDUCTIONS:
             reduce_into(ctx, place, _REDUCTIONS[op], value, span)
         case _:
             _write(ctx, place, binary(ctx, op, old, value, span), span)
+
+
+def _negated(ctx: Context, value: Value, target: Type) -> Value:
+    """``-value``; a number is negated as an unsigned one, which wraps, where the place holds such."""
+    found = operand(ctx, value)
+    if found is None:
+        return Poison(value.span)
+    if isinstance(found, Typed) or target.scalar not in (uint32, uint64):
+        return unary(ctx, "-", found, value.span)
+    expr = beside(ctx, found, target.scalar)
+    return Poison(value.span) if expr is None else unary(ctx, "-", Typed(expr), value.span)
 
 
 def reduce_into(ctx: Context, place: FieldPlace | GlobalPlace, op: kir.ReduceOp, value: Value, span: Span) -> None:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import CodeType
 from typing import Any
 
 from ebb.compiler import kir
-from ebb.compiler.elaborate.capture import attribute_of, captured, elements_of
+from ebb.compiler.elaborate.capture import attribute_of, captured, elements_of, item_of
 from ebb.compiler.elaborate.context import Context
 from ebb.compiler.elaborate.convert import component, operand, typed
 from ebb.compiler.elaborate.errors_names import NoMeaning, UnknownAttribute
 from ebb.compiler.elaborate.errors_types import IndexRange, IndexType, NotIndexable
-from ebb.compiler.elaborate.inline import inline_member
+from ebb.compiler.elaborate.inline import inline_member, member_function
 from ebb.compiler.elaborate.values import (
     BoundMember,
     Poison,
@@ -27,7 +28,7 @@ from ebb.compiler.elaborate.values import (
     is_items,
     noun,
 )
-from ebb.compiler.host import HostConst, HostItem
+from ebb.compiler.host import HostConst
 from ebb.diagnostics.span import Span
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
@@ -77,7 +78,8 @@ def key_attribute(ctx: Context, key: kir.Expr, name: str, span: Span, name_span:
 
 def member_value(ctx: Context, member: Member, key: kir.Expr, span: Span) -> Value:
     """``key.member``: its value, or where it has further parameters, what a call makes the value of."""
-    if member.function.__code__.co_argcount > 1:
+    code = getattr(member_function(member.function), "__code__", None)
+    if isinstance(code, CodeType) and code.co_argcount > 1:
         return BoundMember(member, key, span)
     return inline_member(ctx, member.function, member, [Typed(key)], span)
 
@@ -222,7 +224,11 @@ def _captured_item(ctx: Context, base: Static, items: Any, host: Any, indices: l
     if len(indices) == 1 and isinstance(indices[0], Weak):
         ctx.guard_structure(base.host, items)
         position = constant_index(ctx, indices[0], len(items), None)
-        return Poison(span) if position is None else captured(ctx, HostItem(host, position), items[position], span)
+        return (
+            Poison(span)
+            if position is None
+            else captured(ctx, item_of(host, position, items[position]), items[position], span)
+        )
     expr = typed(ctx, elements_of(ctx, base))
     return Poison(span) if expr is None else _component(ctx, expr, indices, span)
 
@@ -233,7 +239,7 @@ def _dictionary_item(ctx: Context, base: Static, indices: list[Value], span: Spa
         case [Static(str() as name, _, where)] if name not in items:
             return ctx.poison(UnknownAttribute(where, f"'{base.name}'", name, tuple(map(str, items))))
         case [Static(str() as name, _, _)]:
-            return captured(ctx, HostItem(host, name), items[name], span)
+            return captured(ctx, item_of(host, name, items[name]), items[name], span)
         case _:
             return ctx.poison(NotIndexable(span, "a captured dictionary", len(indices), "index it by a string"))
 

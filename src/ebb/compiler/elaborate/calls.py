@@ -50,7 +50,7 @@ from ebb.compiler.elaborate.values import (
     noun,
     static_noun,
 )
-from ebb.compiler.host import HostConst
+from ebb.compiler.host import HostConst, HostOperation
 from ebb.diagnostics.span import Span
 from ebb.relations.member import Member
 from ebb.relations.relation import Relation
@@ -196,6 +196,8 @@ def _length(ctx: Context, arguments: Arguments) -> Value:
         case [Static(items, host, _)] if is_items(items):
             ctx.guard_structure(host, items)
             return Weak(HostConst(len(items)), len(items), span)
+        case [Static(Relation() as relation, host, _)]:
+            return Weak(HostOperation(len, (host,)), len(relation), span)
         case [value]:
             found = operand(ctx, value)
             shape = None if found is None else shape_of(ctx, found)

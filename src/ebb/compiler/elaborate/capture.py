@@ -62,7 +62,7 @@ def attribute_of(ctx: Context, owner: Static, name: str, span: Span, name_span: 
             return ctx.poison(UnknownAttribute(name_span, f"relation '{relation.name}'", name, known))
         case Global() as globl if name == "value":
             return Typed(kir.ReadGlobal(globl, globl.type, span))
-        case found if not hasattr(found, name):
+        case found if not _has(found, name):
             known = tuple(each for each in dir(found) if not each.startswith("_"))
             return ctx.poison(UnknownAttribute(name_span, f"'{owner.name}', {static_noun(found)},", name, known))
         case found if _is_fixed_module(found):
@@ -78,11 +78,27 @@ def elements_of(ctx: Context, static: Static) -> Sequence:
     ctx.guard_structure(static.host, static.object)
     return Sequence(
         tuple(
-            captured(ctx, HostItem(static.host, position), element, static.span)
+            captured(ctx, item_of(static.host, position, element), element, static.span)
             for position, element in enumerate(static.object)
         ),
         static.span,
     )
+
+
+def item_of(host: HostExpr, index: int | str, element: Any) -> HostExpr:
+    """The element of a captured object at ``index``; of a constant, such as a default argument, the element itself."""
+    return HostConst(element) if isinstance(host, HostConst) else HostItem(host, index)
+
+
+def _has(found: Any, name: str) -> bool:
+    """Whether an object has an attribute, be it one that raises when it is read."""
+    try:
+        getattr(found, name)
+    except AttributeError:
+        return False
+    except Exception:  # whatever the user's own property raises: reading it will say
+        return True
+    return True
 
 
 _RELATION_FACTS = ("size", "shape", "ndim", "periodic", "name")

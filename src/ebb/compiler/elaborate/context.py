@@ -164,9 +164,7 @@ class Context:
 
     def simple(self, expr: kir.Expr) -> kir.Expr:
         """``expr`` so that it can be repeated at no cost: itself if it is a constant or local, else in a new local."""
-        if isinstance(expr, kir.Const | kir.Uniform | kir.ReadLocal):
-            return expr
-        return self.temporary("value", expr)
+        return expr if is_simple(expr) else self.temporary("value", expr)
 
     def keep(self, mark: int, values: list[Value]) -> list[Value]:
         """``values``, computed before the statements that were emitted since ``mark``.
@@ -264,6 +262,17 @@ def is_parameter(host: HostExpr) -> bool:
             return True
         case HostItem(base, _) | HostAttribute(base, _):
             return is_parameter(base)
+        case _:
+            return False
+
+
+def is_simple(expr: kir.Expr) -> bool:
+    """Whether repeating ``expr`` costs nothing: a constant, a uniform or a component of one, or a local."""
+    match expr:
+        case kir.Component(kir.Uniform(), indices):
+            return all(isinstance(index, kir.Const) for index in indices)
+        case kir.Const() | kir.Uniform() | kir.ReadLocal():
+            return True
         case _:
             return False
 

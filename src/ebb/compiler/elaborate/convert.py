@@ -284,8 +284,11 @@ def indices_of(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 def component(expr: kir.Expr, index: tuple[int, ...]) -> kir.Expr:
     """A component, or a row, at a constant index."""
+    type_ = shaped_type(expr.type.scalar, expr.type.shape[len(index) :])
+    if isinstance(expr, kir.Const):
+        return kir.Const(reduce(lambda value, i: value[i], index, expr.value), type_, expr.span)
     from_index = tuple(kir.Const(i, int32, expr.span) for i in index)
-    return kir.Component(expr, from_index, shaped_type(expr.type.scalar, expr.type.shape[len(index) :]), expr.span)
+    return kir.Component(expr, from_index, type_, expr.span)
 
 
 def _folded(values: list[Any], shape: tuple[int, ...]) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ebb.compiler import kir
 from ebb.compiler.elaborate.capture import OBJECTS, captured
-from ebb.compiler.elaborate.context import Context
+from ebb.compiler.elaborate.context import Context, is_simple
 from ebb.compiler.elaborate.convert import Operand, common_type_of, convert, operand, typed
 from ebb.compiler.elaborate.errors_calls import CallArguments, MayEndWithoutValue, NoValue
 from ebb.compiler.elaborate.errors_names import Recursion
@@ -217,7 +217,7 @@ def _bind_once(ctx: Context, frame: Frame, name: str, value: Value, span: Span) 
         case Nothing(function, where):
             ctx.report(NoValue(where, function))
             return False
-        case Typed(expr) if not isinstance(expr, kir.Const | kir.Uniform | kir.ReadLocal):
+        case Typed(expr) if not is_simple(expr):
             _declare(ctx, frame, name, expr, span)
         case _:
             frame.bind(name, Bound(repeatable(ctx, value), span))

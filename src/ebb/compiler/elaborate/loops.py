@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ebb.compiler import kir
-from ebb.compiler.elaborate.assignments import elements_to_unpack, store
+from ebb.compiler.elaborate.assignments import elements_to_unpack, snapshot, store
 from ebb.compiler.elaborate.attributes import attribute
 from ebb.compiler.elaborate.capture import elements_of
-from ebb.compiler.elaborate.context import Context
+from ebb.compiler.elaborate.context import Context, is_simple
 from ebb.compiler.elaborate.convert import Operand, adapted, component, fit, lone_scalar, operand
 from ebb.compiler.elaborate.errors_calls import NotIterable, RangeArguments
 from ebb.compiler.elaborate.errors_syntax import RejectedSyntax
@@ -43,7 +43,8 @@ def for_loop(ctx: Context, node: ast.For) -> None:
         case Query():
             _for_query(ctx, node, value)
         case Sequence(elements, _):
-            unroll(ctx, node, list(elements))
+            changing = {name for name in ctx.frame.stores.count if not ctx.frame.once(name)}
+            unroll(ctx, node, [snapshot(ctx, element, changing) for element in elements])
         case Static(tuple() | list(), _, _):
             unroll(ctx, node, list(elements_of(ctx, value).elements))
         case Typed(expr) if expr.type.shape:
@@ -304,9 +305,9 @@ def _store_turn(ctx: Context, target: ast.expr, value: Value) -> None:
     """Gives the variables of an unrolled loop the values of one turn."""
     match target:
         case ast.Name(id=name) if name in ctx.frame.locals and ctx.frame.only_loops(name):
-            value = repeatable(ctx, value)
-            if isinstance(value, Typed) and not isinstance(value.expr, kir.Const | kir.Uniform | kir.ReadLocal):
+            if isinstance(value, Typed) and not is_simple(value.expr):
                 value = Typed(ctx.temporary(name, value.expr))
+            value = repeatable(ctx, value)
             ctx.frame.bind(name, Bound(value, ctx.span(target)))
         case ast.Tuple(elts=targets) | ast.List(elts=targets):
             elements = elements_to_unpack(ctx, value, len(targets), ctx.span(target))
