@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any
@@ -22,6 +23,12 @@ from ebb.relations.relation import Relation
 from ebb.types.types import KeyType, Kind, ScalarType, VectorType, float64, int32, int64
 
 Matrix = tuple[tuple[Fraction, ...], ...]
+
+_MOST_UNITS = 1 << 31
+"""The most that the factors and the offset of a row may sum to, in units of their common denominator.
+
+Backends compute ``floor(row @ [*coordinates, 1])`` in 64 bits, and coordinates may need half of them.
+"""
 
 
 def where(ctx: Context, given: list[Value], named: Mapping[str, Value], span: Span) -> Value:
@@ -131,7 +138,18 @@ def _entries(ctx: Context, row: Value) -> tuple[Fraction, ...] | None:
         case _:
             ctx.report(AffineArguments(row.span, "takes a matrix whose rows are lists of numbers"))
             return None
-    return None if None in entries else tuple(entry for entry in entries if entry is not None)
+    exact = tuple(entry for entry in entries if entry is not None)
+    if len(exact) < len(entries):
+        return None
+    scale = math.lcm(*(entry.denominator for entry in exact))
+    if sum(abs(entry) for entry in exact) * scale > _MOST_UNITS:
+        shown = ", ".join(f"{float(entry):g}" for entry in exact)
+        text = (
+            f"takes whole numbers and simple fractions: [{shown}] is too large, or has too large a common denominator"
+        )
+        ctx.report(AffineArguments(row.span, text))
+        return None
+    return exact
 
 
 def _entry(ctx: Context, value: Value) -> Fraction | None:
