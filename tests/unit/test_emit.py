@@ -12,11 +12,12 @@ from ebb.backends.llvm import ops
 from ebb.backends.llvm.hooks import CPU
 from ebb.backends.tiles import tile_boxes
 from ebb.compiler.lir import BLOCK_ROWS
+from ebb.errors import BackendError
 from ebb.relations.globals import Global
 from ebb.relations.relation import Relation
 from ebb.relations.subset import Box
 from ebb.runtime.symbols import external_symbols
-from ebb.types.types import bool_, float32, float64, int32, key, uint64
+from ebb.types.types import bool_, float32, float64, int32, key, uint64, vector
 
 
 @pytest.fixture
@@ -140,3 +141,24 @@ def test_keys_of_grids_are_kept_as_int32():
     assert "int32 read  # cells.next" in inspect(kernel, "lir")
     expected, found = run_both(kernel)
     assert np.array_equal(expected, found)
+
+
+def test_variables_that_no_stack_holds_are_an_error():
+    from kir_forms import assign, component, i32
+
+    wide = vector(float64, 1000)
+    relation = Relation("rows", size=2)
+    relation.new_field("v", wide)
+    relation.new_field("x", float64)
+    relation.new_field("i", int32)
+    on = OnRows(relation)
+    body = []
+    for number in range(140):
+        v = local(f"v{number}", wide)
+        body += [
+            assign(v, read(relation.v, on.row)),
+            write(relation.x, on.row, component(get(v), read(relation.i, on.row))),
+        ]
+    kernel = on.kernel(*body, write(relation.i, on.row, i32(0)))
+    with pytest.raises(BackendError, match="E605"):
+        cpu_backend(1).prepare(checked(kernel)).launch(relation, ())

@@ -15,13 +15,24 @@ from ebb.backends.llvm.emit import emit
 from ebb.backends.llvm.optimize import optimize
 from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify
+from ebb.errors import BackendError
 from ebb.runtime import cpu
+from ebb.runtime.errors import VariablesTooLarge
+
+MOST_PRIVATE_BYTES = 1 << 20
+"""The most memory that a row's variables may take: threads have stacks of two megabytes and more."""
 
 _log = logging.getLogger("ebb.compiler")
 
 
 def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> bytes:
-    """The object code of ``program``: from ``cache``, or compiled and put there."""
+    """The object code of ``program``: from ``cache``, or compiled and put there.
+
+    Raises:
+        BackendError: the variables of one row do not fit on a thread's stack.
+    """
+    if program.private_bytes > MOST_PRIVATE_BYTES:
+        raise BackendError(VariablesTooLarge(program.name, program.private_bytes, MOST_PRIVATE_BYTES))
     lir_verify.verify(program)
     text = lir_print.text(program)
     _dump(program.name, "lower", text)

@@ -12,9 +12,11 @@ from ebb.backends.cache import ObjectCache
 from ebb.backends.compile import assembly_text, llvm_text, object_code
 from ebb.backends.target import Target, host
 from ebb.compiler import lir, lir_print
+from ebb.compiler.kir_walk import draws
 from ebb.compiler.lower import Launched, lower, sources_of
 from ebb.compiler.lower.facts import State
 from ebb.relations.subset import RowSet
+from ebb.runtime import random
 from ebb.runtime.cpu import CpuCode, CpuDevice
 from ebb.runtime.threads import thread_count
 
@@ -78,6 +80,8 @@ class CpuExecutable:
             EbbError: an assertion or a check of the kernel failed for some row.
         """
         if rows.size == 0:
+            if draws(self._checked.kernel):
+                random.next_launch()  # it counts, as on every backend
             return
         state = self._sources.state() if self._depends else ()
         binding = self._bindings.get((rows, state))

@@ -10,6 +10,8 @@ import llvmlite
 import llvmlite.binding as llvm
 
 from ebb.backends.llvm.hooks import CPU, Hooks
+from ebb.errors import BackendError
+from ebb.runtime.errors import NoMachineCode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,12 +41,19 @@ class Target:
 
 @cache
 def host() -> Target:
-    """The processor that this process runs on, with all of its instruction sets."""
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
+    """The processor that this process runs on, with all of its instruction sets.
+
+    Raises:
+        BackendError: LLVM has no code generator for it.
+    """
     triple = llvm.get_process_triple()
-    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    machine = llvm.Target.from_triple(triple).create_target_machine(
-        cpu=cpu, features=features, opt=3, reloc="pic", codemodel="small"
-    )
+    try:
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+        machine = llvm.Target.from_triple(triple).create_target_machine(
+            cpu=cpu, features=features, opt=3, reloc="pic", codemodel="small"
+        )
+    except RuntimeError as error:
+        raise BackendError(NoMachineCode(triple, str(error))) from error
     return Target(triple, cpu, features, CPU, machine)

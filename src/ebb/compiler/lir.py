@@ -419,8 +419,8 @@ PRINT_HEADER = 2
 class Program:
     """What runs at a launch: ``block`` for each block, then ``finish`` once.
 
-    ``block_number`` is the number of the block, defined in ``block``. ``sites`` and ``prints`` are KIR nodes; they
-    are no part of the text.
+    ``block_number`` is the number of the block, defined in ``block``. ``private_bytes`` is the size of all variables
+    together. ``sites`` says what fails where, ``prints`` are KIR nodes; they are no part of the text.
     """
 
     name: str
@@ -433,6 +433,7 @@ class Program:
     block_number: Temp
     block: Body
     finish: Body
+    private_bytes: int
     sites: tuple[Any, ...]
     prints: tuple[Any, ...]
     print_words: int

@@ -96,3 +96,27 @@ class NoMachineCode(Diagnostic):
             "install an llvmlite for this machine: pip install --upgrade llvmlite",
             'run without compiling: ebb.set_backend("reference")',
         )
+
+
+@dataclass(frozen=True)
+class VariablesTooLarge(Diagnostic):
+    """The variables of a kernel are too large for the stack of a thread."""
+
+    code: ClassVar[str] = "E605"
+    kernel: str
+    size: int
+    most: int
+
+    @property
+    def title(self) -> str:
+        return (
+            f"the variables of kernel '{self.kernel}' take {self.size} bytes a row, more than the {self.most} there are"
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("vectors and matrices in kernels are small: each row has its own, on the stack of a thread",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("keep long arrays in a relation of their own, one row an entry",)

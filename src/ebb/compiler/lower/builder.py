@@ -29,11 +29,16 @@ def number(value: float, scalar: ScalarType) -> lir.Literal:
 
 
 class Builder:
-    """Appends statements to the innermost open body."""
+    """Appends statements to the innermost open body.
+
+    Attributes:
+        private_bytes: the size of all variables so far.
+    """
 
     def __init__(self) -> None:
         self._counts = {"temp": 0, "var": 0, "label": 0}
         self._bodies: list[list[lir.Stmt]] = []
+        self.private_bytes = 0
 
     def _next(self, what: str) -> int:
         self._counts[what] += 1
@@ -62,6 +67,7 @@ class Builder:
 
     def var(self, name: str, scalar: ScalarType, size: int) -> lir.Var:
         """A variable, not yet declared."""
+        self.private_bytes += size * scalar.bits // 8
         return lir.Var(self._next("var"), name, scalar, size)
 
     def declare(self, name: str, scalar: ScalarType, size: int) -> lir.Var:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ebb.compiler import kir, lir
-from ebb.compiler.kir_walk import expressions, statements
+from ebb.compiler.kir_walk import draws, statements
 from ebb.compiler.lower.bindings import variables
 from ebb.compiler.lower.context import Context, Launched, value_scalar
 from ebb.compiler.lower.facts import Facts
@@ -58,6 +58,7 @@ def lower(
         block_number=block_number,
         block=tuple(block),
         finish=tuple(finish),
+        private_bytes=ctx.build.private_bytes,
         sites=tuple(ctx.sites),
         prints=tuple(ctx.prints),
         print_words=ctx.print_words,
@@ -84,7 +85,7 @@ def _row_body(ctx: Context, index: tuple[lir.Temp, ...], launched: Launched) -> 
                 ctx.row = linear(ctx, kernel.relation, index)
         for local in variables(kernel):
             ctx.variables[local.uid] = b.declare(local.name, value_scalar(local.type.scalar), local.type.size)
-        if any(isinstance(expr, kir.Random) for expr in expressions(kernel.body)):
+        if draws(kernel):
             ctx.drawn = b.declare("drawn", uint64, 1)
         bind(ctx, kernel.row, (ctx.row,))
         lower_body(ctx, kernel.body)
