@@ -9,7 +9,19 @@ import numpy as np
 from ebb.compiler.host import HostValue, describe, evaluate
 from ebb.compiler.launch_errors import ArgumentType, UniformFailed
 from ebb.errors import KernelTypeError
-from ebb.types.types import KeyType, Kind, ScalarType, Type, bool_, float64, from_dtype, int32, int64, shaped_type
+from ebb.types.types import (
+    KeyType,
+    Kind,
+    ScalarType,
+    Type,
+    bool_,
+    float32,
+    float64,
+    from_dtype,
+    int32,
+    int64,
+    shaped_type,
+)
 
 _INT32 = range(-(2**31), 2**31)
 _INT64 = range(-(2**63), 2**63)
@@ -29,7 +41,7 @@ def argument_type(value: Any) -> Type | None:
         case float():
             return float64
         case np.generic() | np.ndarray() | list() | tuple():
-            return _array_type(np.asarray(cast("Any", value)), narrow=isinstance(value, list | tuple))
+            return _array_type(_as_array(cast("Any", value)), narrow=isinstance(value, list | tuple))
         case _:
             return None
 
@@ -40,13 +52,14 @@ def check_argument(kernel: str, name: str, value: Any, declared: Type) -> None:
     Raises:
         KernelTypeError: it is of another shape, or of a kind that does not widen to the declared one.
     """
-    array = np.asarray(value)
+    array = _as_array(value)
     scalar = declared.scalar
     fits = (
-        isinstance(scalar, ScalarType)
+        array is not None
+        and isinstance(scalar, ScalarType)
         and array.dtype.kind in _ACCEPTED[scalar.kind]
         and array.shape in ((), declared.shape)
-        and (array.dtype.kind not in "iu" or scalar.kind is Kind.FLOAT or _in_range(array, scalar))
+        and (array.dtype.kind not in "iuO" or scalar.kind is Kind.FLOAT or _in_range(array, scalar))
     )
     if not fits:
         raise KernelTypeError(ArgumentType(kernel, name, value, declared))
@@ -61,15 +74,34 @@ def uniform_values(kernel: str, uniforms: tuple[HostValue, ...], parameters: tup
     return tuple([_uniform_value(kernel, uniform, parameters) for uniform in uniforms])
 
 
-_ACCEPTED = {Kind.BOOL: "b", Kind.SIGNED: "iu", Kind.UNSIGNED: "iu", Kind.FLOAT: "iuf"}
+_ACCEPTED = {Kind.BOOL: "b", Kind.SIGNED: "iuO", Kind.UNSIGNED: "iuO", Kind.FLOAT: "iufO"}
+"""The kinds of arrays that each kind of type takes. ``_as_array`` makes object arrays of Python integers alone."""
+
+_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 
-def _array_type(array: np.ndarray[Any, Any], narrow: bool) -> Type | None:
+def _as_array(value: Any) -> np.ndarray[Any, Any] | None:
+    """``value`` as an array, None where it is none. Python integers that share no NumPy type are kept as they are."""
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "iub" or not isinstance(value, int | list | tuple):
+            return array if array.dtype != object else None
+        exact = np.asarray(cast("Any", value), dtype=object)
+    except ValueError:  # a ragged list
+        return None
+    if all(type(item) is int for item in exact.flat):
+        return exact
+    return array if array.dtype != object else None
+
+
+def _array_type(array: np.ndarray[Any, Any] | None, narrow: bool) -> Type | None:
     """The type of an array; ``narrow`` gives the Python integers of a list int32 where they fit."""
-    scalar = from_dtype(array.dtype)
+    scalar = None if array is None else from_dtype(array.dtype)
+    if array is None or scalar is None:
+        return None
     if narrow and scalar == int64 and _in_range(array, int32):
         scalar = int32
-    return shaped_type(scalar, array.shape) if scalar is not None and array.ndim <= 2 and array.size else None
+    return shaped_type(scalar, array.shape) if array.ndim <= 2 and array.size else None
 
 
 def _in_range(array: np.ndarray[Any, Any], scalar: ScalarType) -> bool:
@@ -86,9 +118,11 @@ def _uniform_value(kernel: str, uniform: HostValue, parameters: tuple[Any, ...])
         reason = f"{type(error).__name__}: {error}"
         raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error
     try:
-        if not target.shape:
+        if not target.shape and (target != float32 or abs(value) <= _LARGEST_FLOAT32):
             return target.dtype.type(value)
-        return np.broadcast_to(np.asarray(value, dtype=target.dtype), target.shape)
+        with np.errstate(over="ignore"):  # beyond its range float32 is infinite, as it is for literals
+            array = np.asarray(value, dtype=target.dtype)
+        return np.broadcast_to(array, target.shape)[()]
     except (OverflowError, ValueError, TypeError) as error:
         reason = f"{value!r} is no {target!r}"
         raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error

@@ -107,7 +107,8 @@ class AffineOutside(Failure):
     @property
     def _bad_axis(self) -> int:
         dimensions = enumerate(zip(self.coordinates, self.shape, self.periodic, strict=True))
-        return next(axis for axis, (at, extent, wraps) in dimensions if not wraps and not 0 <= at < extent)
+        # Where a dimension has no index at all there is none to wrap to.
+        return next(axis for axis, (at, extent, wraps) in dimensions if not (0 <= at < extent or (wraps and extent)))
 
     @property
     def notes(self) -> tuple[str, ...]:

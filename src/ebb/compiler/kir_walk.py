@@ -90,6 +90,11 @@ def queried_fields(kernel: kir.Kernel) -> tuple[Field, ...]:
     return tuple(dict.fromkeys((*loops, *sizes)))
 
 
+def draws(kernel: kir.Kernel) -> bool:
+    """Whether the kernel draws random numbers, so that each of its launches has a number of its own."""
+    return any(isinstance(node, kir.Random) for node in expressions(kernel.body))
+
+
 def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
     """A copy of ``expr`` with ``change`` applied to each operand; ``expr`` itself where none changes."""
     old = children(expr)

@@ -54,7 +54,7 @@ class AffineMap:
         """The position of the row at ``coordinates``, wrapped and clamped; None if there is no such row."""
         position = 0
         for at, extent, wraps in zip(coordinates, self.target.shape, self.target.periodic, strict=True):
-            if wraps:
+            if wraps and extent:
                 at %= extent
             elif self.edge is kir.Edge.CLAMP:
                 at = min(max(at, 0), extent - 1)

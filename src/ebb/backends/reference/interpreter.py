@@ -15,7 +15,7 @@ import numpy as np
 from ebb.backends.reference.breakpoint import stop
 from ebb.backends.reference.grids import AffineMap
 from ebb.compiler import failures, kir
-from ebb.compiler.kir_walk import expressions
+from ebb.compiler.kir_walk import draws
 from ebb.compiler.print_format import format_value
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
@@ -49,8 +49,7 @@ def run(kernel: kir.Kernel, rows: RowSet, uniforms: tuple[Any, ...], order: Sequ
     positions = np.arange(rows.size) if listed is None else listed
     if order is not None:
         positions = positions[np.asarray(order, dtype=np.int64)]
-    draws = any(isinstance(node, kir.Random) for node in expressions(kernel.body))
-    launch = Launch(kernel, uniforms, random.next_launch() if draws else None)
+    launch = Launch(kernel, uniforms, random.next_launch() if draws(kernel) else None)
     with np.errstate(all="ignore"):
         for position in positions.tolist():
             Row(launch, position).execute_body(kernel.body)
