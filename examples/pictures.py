@@ -102,9 +102,7 @@ def cast_shadow(surface: Surface, samples: int = 64) -> Floor:
     low, high = low - reach, high + reach
     cell = np.ptp(surface.points[:, 2]) / 150
     shape = np.ceil((high - low) / cell).astype(int)
-    points = surface.points
-    if len(points) < 100_000:
-        points = np.concatenate([points, points[surface.triangles].mean(axis=1)])
+    points = _fine_points(surface.points[surface.triangles], 0.8 * cell)
     covered = np.zeros(shape[0] * shape[1])
     turn = np.pi * (3 - 5**0.5)
     for sample in range(samples):
@@ -117,6 +115,20 @@ def cast_shadow(surface: Surface, samples: int = 64) -> Floor:
         covered += hit
     shadow = _smooth(covered.reshape(shape) / samples).T[:, :, None]
     return Floor(low, high, FLOOR * (1 - shadow) + (0.45 * FLOOR + 0.55 * SHADE) * shadow)
+
+
+def _fine_points(corners: np.ndarray, spacing: float) -> np.ndarray:
+    """Points on triangles, of the shape (m, 3, 3), about as close to each other as ``spacing``."""
+    found = []
+    while len(corners):
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        size = np.linalg.norm(np.cross(b - a, c - a), axis=1) ** 0.5
+        found.append(corners[size <= spacing].mean(axis=1))
+        a, b, c = (corner[size > spacing] for corner in (a, b, c))
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (bc, ca, ab))
+        corners = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return np.concatenate(found)
 
 
 def _smooth(image: np.ndarray) -> np.ndarray:
