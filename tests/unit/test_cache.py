@@ -102,7 +102,7 @@ def test_processes_share_a_folder(tmp_path):
         "import sys, pathlib\n"
         "from ebb.backends.cache import ObjectCache\n"
         "cache = ObjectCache(pathlib.Path(sys.argv[1]))\n"
-        "for turn in range(200):\n"
+        "for turn in range(40):\n"
         "    cache.put('key', bytes([65 + turn % 2]) * 100_000)\n"
         "    found = cache.get('key')\n"
         "    assert found is not None and len(found) == 100_000 and len(set(found)) == 1\n"

@@ -31,8 +31,7 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
     Raises:
         BackendError: the variables of one row do not fit on a thread's stack.
     """
-    if program.private_bytes > MOST_PRIVATE_BYTES:
-        raise BackendError(VariablesTooLarge(program.name, program.private_bytes, MOST_PRIVATE_BYTES))
+    check_private_bytes(program.name, program.private_bytes)
     lir_verify.verify(program)
     text = lir_print.text(program)
     _dump(program.name, "lower", text)
@@ -46,6 +45,12 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
         _log.debug("%s: compiling took %.2f ms", program.name, 1e3 * (time.perf_counter() - start))
         cache.put(key, image)
     return image
+
+
+def check_private_bytes(kernel: str, size: int) -> None:
+    """Raises BackendError: the variables of ``kernel`` take ``size`` bytes, which no thread has."""
+    if size > MOST_PRIVATE_BYTES:
+        raise BackendError(VariablesTooLarge(kernel, size, MOST_PRIVATE_BYTES))
 
 
 def llvm_text(program: lir.Program, target: Target) -> str:

@@ -9,11 +9,11 @@ from typing import Any
 from ebb.backends.backend import CheckedKernel
 from ebb.backends.binding import Binding
 from ebb.backends.cache import ObjectCache
-from ebb.backends.compile import assembly_text, llvm_text, object_code
+from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, object_code
 from ebb.backends.target import Target, host
 from ebb.compiler import lir, lir_print
 from ebb.compiler.kir_walk import draws
-from ebb.compiler.lower import Launched, lower, sources_of
+from ebb.compiler.lower import Launched, lower, sources_of, variable_bytes
 from ebb.compiler.lower.facts import State
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
@@ -42,7 +42,12 @@ class CpuBackend:
     stages: tuple[str, ...] = tuple(_STAGES)
 
     def prepare(self, checked: CheckedKernel) -> CpuExecutable:
-        """The kernel, to be compiled when it is launched: only then is it known what the code depends on."""
+        """The kernel, to be compiled when it is launched: only then is it known what the code depends on.
+
+        Raises:
+            BackendError: the variables of one row do not fit on a thread's stack.
+        """
+        check_private_bytes(checked.kernel.name, variable_bytes(checked.kernel))
         return CpuExecutable(checked, self)
 
 

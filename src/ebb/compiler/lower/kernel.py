@@ -65,6 +65,11 @@ def lower(
     )
 
 
+def variable_bytes(kernel: kir.Kernel) -> int:
+    """The size of the locals of ``kernel`` that need memory; ``Program.private_bytes`` is at least that."""
+    return sum(value_scalar(local.type.scalar).bits // 8 * local.type.size for local in variables(kernel))
+
+
 def _schedule(ctx: Context) -> lir.Schedule:
     """In order where rows reduce into other rows, whose sums would else depend on the threads, or where they print."""
     if any(isinstance(stmt, kir.Print) for stmt in statements(ctx.kernel.body)):
