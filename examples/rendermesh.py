@@ -1,8 +1,8 @@
 """A fine surface follows a coarse solid.
 
 Two meshes, coupled by a key field (Bernstein et al. 2015, "Coupling Domains"): each vertex of the fine surface has the
-key of the tetrahedron that holds it, and four weights. The solid is twisted; a kernel over the surface gathers where its
-vertices go, and another their normals.
+key of the tetrahedron that holds it, and four weights. The solid is twisted; a kernel over the surface gathers where
+its vertices go, and another their normals.
 
     python examples/rendermesh.py --save out/rendermesh.png
     python examples/rendermesh.py --mesh bunny --save out/rendermesh.png

@@ -28,10 +28,10 @@ from pictures import CLAY, Surface, save_strip
 DENSITY = 1.0
 STIFFNESS = 1400.0  # pascals: about Young's modulus of the springs
 BULK = 1400.0  # pascals: the pressure for a change of volume
-DAMPING = 1.5e-3  # seconds: by this much the force of a spring follows the rate of its stretch
+DAMPING = 2e-3  # seconds: by this much the force of a spring follows the rate of its stretch
 FRICTION = 12.0  # 1 / second: how fast the floor stops what slides on it
 GRAVITY = 9.81
-SECONDS = 2.8
+SECONDS = 3.2
 
 kinetic = ebb.Global(ebb.float64, 0.0)
 elastic = ebb.Global(ebb.float64, 0.0)
