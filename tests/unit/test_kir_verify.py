@@ -123,10 +123,11 @@ ASSIGNED = {
         READ_X,
     ),
     "earlier in the turn": (loop(YES, SET_X, READ_X),),
+    "in a loop that surely runs": (for_range(N, i32(0), i32(2), i32(1), SET_X), READ_X),
 }
 UNASSIGNED = {
     "in one branch": (when(YES, SET_X), READ_X),
-    "in a loop that may not run": (for_range(N, i32(0), i32(2), i32(1), SET_X), READ_X),
+    "in a loop that runs no turn": (for_range(N, i32(2), i32(2), i32(1), SET_X), READ_X),
     "in a while that may not run": (loop(A_IS_BIG := compare(">", A, ONE), SET_X), READ_X),
     "after a break": (loop(YES, when(A_IS_BIG, BREAK), SET_X), READ_X),
     "on one way out of a block": (kir.Block(LABEL, (when(YES, kir.Leave(LABEL, HERE)), SET_X), HERE), READ_X),
