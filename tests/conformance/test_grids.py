@@ -7,7 +7,7 @@ import pytest
 
 import ebb
 
-from .harness import grid, rejects
+from .harness import grid, kernel_of, rejects
 
 
 def test_a_one_dimensional_grid(backend):
@@ -177,6 +177,19 @@ def test_clamp_beside_wrap(backend):
     shifted(cells)
     i, j = np.indices((4, 5))
     np.testing.assert_array_equal(cells.y.to_numpy(), cells.x.to_numpy()[np.maximum(i - 2, 0), (j + 3) % 5])
+
+
+@pytest.mark.parametrize("shape", [(0,), (0, 5), (5, 0), (3, 0, 2)])
+@pytest.mark.parametrize("wraps", [True, False])
+def test_grids_without_cells(backend, shape, wraps):
+    cells = grid(shape, (wraps,) * len(shape))
+    offsets = ", ".join("1" for _ in shape)
+    kernel_of(f"c.y = c({offsets}).x", "c: cells", cells=cells)(cells)
+    assert cells.y.to_numpy().shape == shape
+    particles = ebb.Relation("particles", size=1)
+    particles.new_field("cell", cells)
+    follow = kernel_of(f"y = p.cell({offsets}).x", "p: particles", particles=particles)
+    rejects(ebb.RelationError, "E404", lambda: follow(particles))
 
 
 def test_large_grids(backend):

@@ -182,6 +182,33 @@ def test_grouping_does_not_change_what_a_program_sees(backend):
     np.testing.assert_array_equal(edges.late.to_numpy(), np.arange(65))
 
 
+def test_grouping_after_the_kernels_were_compiled(backend):
+    _vertices, edges, _, head = star(65)
+    edges.new_field("number", ebb.int64, init=0)
+    edges.new_field("next", edges, init=(np.arange(65) * 7 + 3) % 65)
+    edges.new_subset("some", np.arange(0, 65, 9))
+
+    @ebb.kernel
+    def program(e: edges):
+        e.x = e.head.y + ebb.id(e.next)
+        e.number += ebb.id(e)
+
+    @ebb.kernel
+    def mark(e: edges):
+        e.number += 1000
+
+    def run():
+        program(edges)
+        mark(edges.some)
+        return edges.x.to_numpy()
+
+    first = run()
+    edges.group_by("tail")
+    np.testing.assert_array_equal(run(), first)
+    np.testing.assert_array_equal(first, 10.0**head + (np.arange(65) * 7 + 3) % 65)
+    np.testing.assert_array_equal(edges.number.to_numpy(), 2 * np.arange(65) + 2000 * (np.arange(65) % 9 == 0))
+
+
 def test_keys_of_others_into_a_sorted_relation_still_mean_the_same_rows(backend):
     _vertices, edges, _tail, _ = star(65)
     pointers = ebb.Relation("pointers", size=30)

@@ -86,6 +86,22 @@ def test_field_names_as_parameters(backend):
     np.testing.assert_array_equal(rows.a.to_numpy(), [1, 2])
 
 
+def test_field_names_go_through_a_func(backend):
+    rows = rows_with(a=(ebb.float64, [1, 2]), b=(ebb.float64, [5, 6]), c=(ebb.float64, [0, 0]))
+
+    @ebb.func
+    def copy_field(row, dst, src):
+        row[dst] = row[src]
+
+    @ebb.kernel
+    def copy(r: rows, dst: str, src: str):
+        copy_field(r, dst, src)
+
+    copy(rows, "b", "a")
+    copy(rows, dst="c", src="b")
+    np.testing.assert_array_equal(rows.c.to_numpy(), [1, 2])
+
+
 def test_bare_field_names(backend):
     rows = rows_with(a=(ebb.float64, [1, 2]), b=(ebb.float64, [5, 6]))
 

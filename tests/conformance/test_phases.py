@@ -241,6 +241,11 @@ REJECTED = {
         "E301",
     ),
     "a query reads its grouping": (E, "e.tail = e.head\nfor f in ebb.where(edges.tail, e.head):\n    pass", "E301"),
+    "a query that projects reads the projected field": (
+        E,
+        "for u in ebb.where(edges.tail, e.tail).head:\n    e.head = u",
+        "E301",
+    ),
     "a global read and reduced": (V, "E.value += v.a * E.value", "E304"),
     "a global read, another way, and reduced": (V, "v.a = E\nE.value += 1", "E304"),
     "a global reduced with two operators": (V, "E.value += 1\nE.value *= 2", "E304"),

@@ -120,6 +120,25 @@ def test_a_key_that_is_set_for_some_rows(backend):
     assert names_row(error, 2)
 
 
+def test_keys_that_become_unset_after_the_first_launch(backend):
+    vertices, edges = ebb.Relation("vertices", size=4), ebb.Relation("edges", size=4)
+    vertices.new_field("x", ebb.float64, init=[1, 2, 3, 4])
+    edges.new_field("head", vertices, init=[3, 2, 1, 0])
+    edges.new_field("x", ebb.float64, init=0.0)
+
+    @ebb.kernel
+    def read(e: edges):
+        e.x = e.head.x
+
+    read(edges)
+    edges.head.load(np.ma.masked_less([3, -1, 1, 0], 0))
+    error = rejects(ebb.RelationError, "E404", lambda: read(edges))
+    assert names_row(error, 1)
+    edges.head.load([0, 1, 2, 3])
+    read(edges)
+    np.testing.assert_array_equal(edges.x.to_numpy(), [1, 2, 3, 4])
+
+
 def test_unset_keys_dump_as_minus_one():
     vertices, edges = ebb.Relation("vertices", size=3), ebb.Relation("edges", size=2)
     edges.new_field("head", vertices)

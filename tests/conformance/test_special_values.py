@@ -117,13 +117,12 @@ def test_functions_of_one_float(backend, scalar, expression):
     assert_same(evaluate(expression, scalar, x=(scalar, x)), expected, x, exact=False)
 
 
-def test_powers_of_floats(backend):
-    x, y = pairs([0.0, 1.0, -1.0, 0.5, -2.0, -8.0, np.inf, -np.inf, np.nan, 1 / 3, 3.0], np.float64)
+@pytest.mark.parametrize("expression", ["r.x ** r.y", "ebb.pow(r.x, r.y)"])
+def test_powers_of_floats(backend, expression):
+    x, y = pairs([0.0, -0.0, 1.0, -1.0, 0.5, -2.0, -8.0, np.inf, -np.inf, np.nan, 1 / 3, 3.0], np.float64)
     with np.errstate(all="ignore"):
         expected = np.power(x, y)
-    assert_same(
-        evaluate("r.x ** r.y", ebb.float64, x=(ebb.float64, x), y=(ebb.float64, y)), expected, x, y, exact=False
-    )
+    assert_same(evaluate(expression, ebb.float64, x=(ebb.float64, x), y=(ebb.float64, y)), expected, x, y, exact=False)
 
 
 def test_powers_of_integers_wrap_and_negative_ones_truncate(backend):

@@ -290,6 +290,8 @@ CASTS = [
     ("ebb.vec3f(r.v)", ebb.vec3f, np.full((3, 3), 0.1, np.float32)),
     ("ebb.vec3i(r.v * 25)", ebb.vec3i, np.full((3, 3), 2)),
     ("ebb.vec3d(r.w)", ebb.vec3d, [[1, 2, 3]] * 3),
+    ("ebb.vec3f(r.d, r.i, 1)[0]", ebb.float32, np.array([-2.7, 2.7, 0], np.float32)),
+    ("ebb.vec3f(0)", ebb.vec3f, np.zeros((3, 3))),
     ("ebb.mat2f([[r.d, 1], [2, 3]])[0, 0]", ebb.float32, np.array([-2.7, 2.7, 0], np.float32)),
 ]
 

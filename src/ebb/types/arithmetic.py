@@ -22,6 +22,9 @@ _where: Any = np.where
 
 def power(base: Any, exponent: Any) -> Any:
     """``base ** exponent``. An integer to a negative power is the exact value truncated: 1, -1 or 0."""
+    if base.dtype.kind == "f":
+        # NumPy takes the square root for an exponent of 0.5 that is a scalar, which differs at -0 and -infinity.
+        return np.power(np.atleast_1d(base), np.atleast_1d(exponent)).reshape(np.shape(base))[()]
     if base.dtype.kind != "i" or not np.any(exponent < 0):
         return np.power(base, exponent)
     one = base.dtype.type(1)
