@@ -35,6 +35,7 @@ from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
+from ebb.runtime.threads import launching
 
 _Function = Callable[..., None]
 _Types = tuple[ParameterType, ...]
@@ -71,7 +72,11 @@ class Launch:
     rows: RowSet
 
     def run(self, parameters: tuple[Any, ...]) -> None:
-        """Runs the kernel once, on the current backend."""
+        """Runs the kernel once, on the current backend. Launches from several Python threads wait for one another."""
+        with launching():
+            self._run(parameters)
+
+    def _run(self, parameters: tuple[Any, ...]) -> None:
         specialisation = self.specialisation
         for index in specialisation.indexes:
             _index_of(index).refresh()

@@ -20,6 +20,7 @@ from ebb.relations.subset import RowSet
 from ebb.runtime import random
 from ebb.runtime.buffer import Array, aligned_zeros
 from ebb.runtime.cpu import BLOCKS, BOXES, ROWS, ArgumentBlock, CpuCode, CpuDevice
+from ebb.runtime.threads import launching
 from ebb.types.types import Kind, ScalarType
 
 _VIEWS = {
@@ -65,13 +66,15 @@ class Binding:
         Raises:
             EbbError: an assertion or a check of the kernel failed for some row.
         """
-        with self._device.lock:
+        with launching():
             self._run(uniforms)
 
     def _run(self, uniforms: tuple[Any, ...]) -> None:
         words = self._block.numbers
-        for word, field in self._fields:
-            words[word] = field.address
+        # Held, so that no memory goes while the code runs, should another thread swap or group meanwhile.
+        held = [field.buffer for _, field in self._fields]
+        for (word, _), buffer in zip(self._fields, held, strict=True):
+            words[word] = buffer.address
         for word, source in self._arrays:
             words[word] = source.address()
         for store, place, uniform, component in self._uniforms:
@@ -79,11 +82,16 @@ class Binding:
             store(place, value.item() if component < 0 else value.flat[component].item())
         if self._random_words:
             self._draw_key()
-        failed = self._device.launch(self._code, self._block, self._shares)
+        try:
+            failed = self._device.launch(self._code, self._block, self._shares)
+            failure = self._block.take_failure() if failed else None
+        except BaseException:  # an interrupt: the failure of this launch is none of the next
+            self._block.failures.fill(0)
+            raise
         if self._prints is not None:
             self._prints.flush()
-        if failed:
-            site, position, payload = self._block.take_failure()
+        if failure is not None:
+            site, position, payload = failure
             raise error_at(self._program.sites[site], self._kernel, position, payload)
 
     # ---- What is bound once ----

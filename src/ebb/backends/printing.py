@@ -38,13 +38,13 @@ class PrintBuffer:
             return
         kept = min(count, self._lines)
         records = self._words[_RECORDS : _RECORDS + kept * self._width].reshape(kept, self._width)
+        self._words[_COUNTER] = 0  # before any line is written, which may fail or launch the kernel again
         for record in records[np.argsort(records[:, 1], kind="stable")]:
             print(self._line(self._prints[int(record[0])], record[lir.PRINT_HEADER :]))
         if count > kept:
             print(
                 f"... and {count - kept} more lines of kernel '{self._kernel.name}', which keeps {self._lines} a launch"
             )
-        self._words[_COUNTER] = 0
 
     def _line(self, stmt: kir.Print, words: Any) -> str:
         texts: list[str] = []

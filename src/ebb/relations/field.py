@@ -66,6 +66,11 @@ class Field:
         return self._buffer.host
 
     @property
+    def buffer(self) -> Buffer:
+        """The memory that ``data`` lies in now."""
+        return self._buffer
+
+    @property
     def address(self) -> int:
         """Where ``data`` begins. It changes when ``data`` is replaced."""
         return self._buffer.address

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -93,13 +92,11 @@ class CpuDevice:
 
     Attributes:
         threads: how many threads a launch may use.
-        lock: held from when an argument block is filled until the failure of the launch has been read.
     """
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
         self.name = "cpu"
-        self.lock = threading.Lock()
 
     def load(self, name: str, image: bytes) -> CpuCode:
         """Links the object code ``image`` into the process.
@@ -118,7 +115,7 @@ class CpuDevice:
             raise BackendError(NoMachineCode(llvm.get_process_triple(), str(error))) from error
 
     def launch(self, code: CpuCode, block: ArgumentBlock, shares: int) -> bool:
-        """Runs ``code`` over its blocks of rows, which at most ``shares`` threads share. The caller holds ``lock``.
+        """Runs ``code`` over its blocks of rows, which at most ``shares`` threads share.
 
         Returns:
             Whether some row failed.

@@ -143,10 +143,7 @@ def _entries(ctx: Context, row: Value) -> tuple[Fraction, ...] | None:
         return None
     scale = math.lcm(*(entry.denominator for entry in exact))
     if sum(abs(entry) for entry in exact) * scale > _MOST_UNITS:
-        shown = ", ".join(f"{float(entry):g}" for entry in exact)
-        text = (
-            f"takes whole numbers and simple fractions: [{shown}] is too large, or has too large a common denominator"
-        )
+        text = "takes whole numbers and simple fractions: these are too large, or have too large a common denominator"
         ctx.report(AffineArguments(row.span, text))
         return None
     return exact
