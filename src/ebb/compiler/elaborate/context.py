@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
@@ -48,6 +49,9 @@ from ebb.diagnostics.span import Span
 from ebb.errors import EbbError
 from ebb.relations.relation import Relation
 from ebb.types.types import ScalarType, Type
+
+#: A comment at the end of a line; one with quotes in it may be part of a string.
+_COMMENT = re.compile(r"\s+#[^'\"]*$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +121,8 @@ class Context:
         span = self.span(node)
         if span.end_line == span.line:
             return span
-        return replace(span, end_line=span.line, end_column=len(span.source.line(span.line).rstrip()))
+        line = _COMMENT.sub("", span.source.line(span.line).rstrip())
+        return replace(span, end_line=span.line, end_column=len(line))
 
     # Errors
 
