@@ -60,10 +60,19 @@ def evaluate(expression, result, names=None, **fields):
     return out.to_numpy()
 
 
-def assert_close(actual, expected, dtype=np.float64):
+def evaluate_each(results, names=None, **fields):
+    """As ``evaluate``, of all the expressions that have a type in ``results``, in one kernel; the values by expression."""
+    rows = rows_with(**fields)
+    outs = {expression: rows.new_field(f"out_{i}", result) for i, (expression, result) in enumerate(results.items())}
+    body = "\n".join(f"r.{out.name} = {expression}" for expression, out in outs.items())
+    kernel_of(body, rows=rows, **(names or {}))(rows)
+    return {expression: out.to_numpy() for expression, out in outs.items()}
+
+
+def assert_close(actual, expected, dtype=np.float64, what=""):
     """Equal up to the rounding of a short computation in ``dtype``."""
     tolerance = 2e-5 if np.dtype(dtype) == np.float32 else 1e-12
-    np.testing.assert_allclose(actual, expected, rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(actual, expected, rtol=tolerance, atol=tolerance, err_msg=what)
 
 
 def rejects(exception, code, run):

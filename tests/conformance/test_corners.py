@@ -76,3 +76,9 @@ def test_large_numbers_as_float_parameters(backend, value):
     assert rows.x.to_numpy()[0] == value
     with np.errstate(over="ignore"):
         assert rows.y.to_numpy()[0] == np.float32(value)
+
+
+@pytest.mark.parametrize("name", ["name", "size", "shape", "periodic", "is_grid", "fields", "storage"])
+def test_facts_of_a_relation_cannot_be_set(name):
+    grid = ebb.Relation("grid", shape=(3, 3))
+    rejects(ebb.RelationError, "E516", lambda: setattr(grid, name, getattr(grid, name)))

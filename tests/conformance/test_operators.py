@@ -9,7 +9,7 @@ import pytest
 
 import ebb
 
-from .harness import assert_close, evaluate, kernel_of, rejects, rows_with
+from .harness import assert_close, evaluate, evaluate_each, kernel_of, rejects, rows_with
 
 A = np.array([7, -7, 7, -7, 0, 1])
 B = np.array([3, 3, -3, -3, 5, 2])
@@ -86,18 +86,28 @@ BOOLEAN = {
 }
 
 
-@pytest.mark.parametrize("int_type", [ebb.int32, ebb.int64], ids=repr)
 @pytest.mark.parametrize("expression", INTEGER)
-def test_integer_operators(backend, expression, int_type):
-    out = evaluate(expression, int_type, a=(int_type, A), b=(int_type, B))
+def test_integer_operators(backend, expression):
+    out = evaluate(expression, ebb.int32, a=(ebb.int32, A), b=(ebb.int32, B))
     np.testing.assert_array_equal(out, INTEGER[expression])
 
 
-@pytest.mark.parametrize("float_type", [ebb.float32, ebb.float64], ids=repr)
+def test_operators_of_long_integers(backend):
+    outs = evaluate_each(dict.fromkeys(INTEGER, ebb.int64), a=(ebb.int64, A), b=(ebb.int64, B))
+    for expression, out in outs.items():
+        np.testing.assert_array_equal(out, INTEGER[expression], err_msg=expression)
+
+
 @pytest.mark.parametrize("expression", FLOAT)
-def test_float_operators(backend, expression, float_type):
-    out = evaluate(expression, float_type, x=(float_type, X), y=(float_type, Y))
-    assert_close(out, FLOAT[expression], float_type.dtype)
+def test_float_operators(backend, expression):
+    out = evaluate(expression, ebb.float32, x=(ebb.float32, X), y=(ebb.float32, Y))
+    assert_close(out, FLOAT[expression], np.float32)
+
+
+def test_operators_of_doubles(backend):
+    outs = evaluate_each(dict.fromkeys(FLOAT, ebb.float64), x=(ebb.float64, X), y=(ebb.float64, Y))
+    for expression, out in outs.items():
+        assert_close(out, FLOAT[expression], what=expression)
 
 
 @pytest.mark.parametrize("expression", BOOLEAN)
@@ -252,13 +262,19 @@ def shaped(scalar, shape):
     return ebb.vector(scalar, *shape) if len(shape) == 1 else ebb.matrix(scalar, *shape)
 
 
-@pytest.mark.parametrize("scalar", [ebb.float32, ebb.float64], ids=repr)
 @pytest.mark.parametrize("expression", ARRAYS)
-def test_vector_and_matrix_operators(backend, expression, scalar):
+def test_vector_and_matrix_operators(backend, expression):
     expected = ARRAYS[expression]
     used = {name: values for name, values in OPERANDS.items() if f"r.{name}" in expression}
-    fields = {name: (shaped(scalar, values.shape[1:]), values) for name, values in used.items()}
-    assert_close(evaluate(expression, shaped(scalar, expected.shape[1:]), **fields), expected, scalar.dtype)
+    fields = {name: (shaped(ebb.float32, values.shape[1:]), values) for name, values in used.items()}
+    assert_close(evaluate(expression, shaped(ebb.float32, expected.shape[1:]), **fields), expected, np.float32)
+
+
+def test_vector_and_matrix_operators_in_double(backend):
+    fields = {name: (shaped(ebb.float64, values.shape[1:]), values) for name, values in OPERANDS.items()}
+    results = {expression: shaped(ebb.float64, expected.shape[1:]) for expression, expected in ARRAYS.items()}
+    for expression, out in evaluate_each(results, **fields).items():
+        assert_close(out, ARRAYS[expression], what=expression)
 
 
 def test_integer_vectors(backend):
