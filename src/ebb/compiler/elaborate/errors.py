@@ -146,7 +146,15 @@ class BadAnnotation(KernelDiagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        return ("annotate with it, or leave the parameter bare: it is then typed by what it gets",)
+        instead = _EBB_TYPES.get(self.value, "one of these")
+        return (f"annotate with {instead}, or leave the parameter bare: it is then typed by what it gets",)
+
+
+_EBB_TYPES = {
+    "<class 'bool'>": "ebb.bool_",
+    "<class 'int'>": "ebb.int32 or ebb.int64",
+    "<class 'float'>": "ebb.float32 or ebb.float64",
+}
 
 
 @dataclass(frozen=True)

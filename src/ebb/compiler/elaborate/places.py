@@ -235,11 +235,10 @@ def _not_assignable(ctx: Context, node: ast.expr, value: Value | Place) -> None:
     match value:
         case Static(Relation() as relation, _, _):
             advice = f"assign it for a row: row.{node.attr} = ..." if isinstance(node, ast.Attribute) else "name a row"
-            ctx.report(NotAssignable(span, f"something of the relation '{relation.name}'", advice))
+            ctx.report(NotAssignable(span, f"'{span.text}', which is no row of '{relation.name}',", advice))
         case Static(found, _, _):
-            ctx.report(
-                NotAssignable(span, f"something of {static_noun(found)}", "set it on the host, between launches")
-            )
+            what = f"'{span.text}', which belongs to {static_noun(found)},"
+            ctx.report(NotAssignable(span, what, "set it on the host, between launches"))
         case Typed() if isinstance(node, ast.Attribute) and node.attr == "T":
             ctx.report(NotAssignable(span, "a transpose", "assign the matrix itself"))
         case _:
