@@ -266,7 +266,7 @@ class Relation:
         return found
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name not in Relation.__slots__:
+        if name not in Relation.__slots__ or hasattr(self, name):  # a slot is set once, when the relation is made
             raise RelationError(AttributeAssigned(self.name, name, self._kind_of(name)))
         object.__setattr__(self, name, value)
 
