@@ -235,7 +235,7 @@ def _not_assignable(ctx: Context, node: ast.expr, value: Value | Place) -> None:
     match value:
         case Static(Relation() as relation, _, _):
             advice = f"assign it for a row: row.{node.attr} = ..." if isinstance(node, ast.Attribute) else "name a row"
-            ctx.report(NotAssignable(span, f"'{span.text}', which is no row of '{relation.name}',", advice))
+            ctx.report(NotAssignable(span, f"'{span.text}', which names no row,", advice))
         case Static(found, _, _):
             what = f"'{span.text}', which belongs to {static_noun(found)},"
             ctx.report(NotAssignable(span, what, "set it on the host, between launches"))
