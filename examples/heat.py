@@ -116,7 +116,7 @@ def hot_spots(points: np.ndarray, count: int = 7, seed: int = 3) -> np.ndarray:
     front = points[points[:, 1] < np.median(points[:, 1])]
     centres = front[rng.choice(len(front), count, replace=False)]
     distance = np.linalg.norm(points[:, None] - centres, axis=2).min(axis=1) / np.ptp(points, axis=0).max()
-    return 1 / (1 + np.exp((distance - 0.09) / 0.004))
+    return (1 - np.tanh((distance - 0.09) / 0.008)) / 2
 
 
 def colors(temperature: np.ndarray) -> np.ndarray:
