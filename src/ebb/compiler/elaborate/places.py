@@ -233,7 +233,7 @@ def _not_assignable(ctx: Context, node: ast.expr, value: Value | Place) -> None:
         ctx.report(CapturedAssigned(span, node.id, captured_noun(outside[1]), captured_advice(outside[1])))
         return
     match value:
-        case Static(Relation() as relation, _, _):
+        case Static(Relation(), _, _):
             advice = f"assign it for a row: row.{node.attr} = ..." if isinstance(node, ast.Attribute) else "name a row"
             ctx.report(NotAssignable(span, f"'{span.text}', which names no row,", advice))
         case Static(found, _, _):
