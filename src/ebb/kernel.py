@@ -92,6 +92,16 @@ class Launch:
                 written.changed()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Compiled:
+    """What a kernel keeps for one relation: its specialisations by parameter types, and its launches on row sets."""
+
+    specialisations: dict[_Types, list[Specialisation]] = field(default_factory=dict[_Types, list[Specialisation]])
+    launches: dict[tuple[RowSet, _Types], list[Launch]] = field(
+        default_factory=dict[tuple[RowSet, _Types], list[Launch]]
+    )
+
+
 class Kernel:
     """A function over the rows of a relation, made by ``@ebb.kernel``. Calling it launches it.
 
@@ -110,8 +120,6 @@ class Kernel:
         self._hints = hints
         self._text = text
         self._frame_locals = frame_locals
-        self._specialisations: dict[tuple[Relation, _Types], list[Specialisation]] = {}
-        self._launches: dict[tuple[RowSet, _Types], list[Launch]] = {}
 
     def __repr__(self) -> str:
         return f"<ebb.kernel {self._name}{self._signature}>"
@@ -224,9 +232,14 @@ class Kernel:
             check_argument(self._name, name, value, declared)
         return declared
 
+    def _compiled(self, relation: Relation) -> _Compiled:
+        kept = relation.storage.compiled
+        found = kept.get(self)
+        return kept.setdefault(self, _Compiled()) if found is None else found
+
     def _find_launch(self, rows: RowSet, arguments: tuple[Any, ...]) -> Launch:
         types = self._types(arguments) if arguments else ()
-        launches = self._launches.setdefault((rows, types), [])
+        launches = self._compiled(rows.relation).launches.setdefault((rows, types), [])
         for launch in launches:
             if launch.specialisation.holds(arguments):
                 return launch
@@ -241,7 +254,7 @@ class Kernel:
         expected = row_annotation(self.source)
         if expected is not None and expected is not relation:
             raise KernelTypeError(RowsMismatch(self._name, expected.name, relation.name))
-        known = self._specialisations.setdefault((relation, types), [])
+        known = self._compiled(relation).specialisations.setdefault(types, [])
         for specialisation in known:
             if specialisation.holds(arguments):
                 return specialisation

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
 
 import ebb
+from ebb.backends.select import current_backend
 
 from .harness import kernel_of, rejects, rows_with
 
@@ -82,3 +85,44 @@ def test_large_numbers_as_float_parameters(backend, value):
 def test_facts_of_a_relation_cannot_be_set(name):
     grid = ebb.Relation("grid", shape=(3, 3))
     rejects(ebb.RelationError, "E516", lambda: setattr(grid, name, getattr(grid, name)))
+
+
+def test_a_kernel_keeps_no_relation(backend):
+    count = kernel_of("r.n += 1", "r")
+
+    def launch():
+        rows = rows_with(n=(ebb.int32, np.arange(100)))
+        rows.new_subset("some", np.s_[::2])
+        count(rows)
+        count(rows.some)
+        assert rows.n.to_numpy().tolist() == [n + 2 - n % 2 for n in range(100)]
+        return weakref.ref(rows)
+
+    kept = [launch() for _ in range(3)]
+    gc.collect()
+    assert [each() for each in kept] == [None] * 3
+
+
+def test_a_relation_keeps_no_kernel(backend):
+    rows = rows_with(n=(ebb.int32, np.arange(100)))
+
+    def launch(amount):
+        @ebb.kernel
+        def add(r: rows):
+            r.n += amount
+
+        add(rows)
+        return weakref.ref(add)
+
+    kept = [launch(amount) for amount in (1, 2)]
+    gc.collect()
+    assert [each() for each in kept] == [None] * 2
+    assert rows.n.to_numpy().tolist() == [n + 3 for n in range(100)]
+
+
+def test_a_backend_that_is_chosen_again_is_the_same():
+    def chosen(**options):
+        with ebb.backend("cpu", **options):
+            return current_backend()
+
+    assert chosen(threads=2) is chosen(threads=2) is not chosen(threads=1)

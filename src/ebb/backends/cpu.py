@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from ebb.backends.backend import CheckedKernel
 from ebb.backends.binding import Binding
-from ebb.backends.cache import ObjectCache
+from ebb.backends.cache import ObjectCache, cache_directory
 from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, object_code
 from ebb.backends.target import Target, host
 from ebb.compiler import lir, lir_print
@@ -37,7 +39,7 @@ class CpuBackend:
     """
 
     device: CpuDevice
-    cache: ObjectCache = field(default_factory=ObjectCache)
+    cache: ObjectCache
     name: str = "cpu"
     stages: tuple[str, ...] = tuple(_STAGES)
 
@@ -60,7 +62,13 @@ def cpu_backend(threads: int | None = None) -> CpuBackend:
     Raises:
         BackendError: ``threads`` is no number of threads.
     """
-    return CpuBackend(CpuDevice(thread_count(threads)))
+    return _backend_of(thread_count(threads), cache_directory())
+
+
+@cache
+def _backend_of(threads: int, directory: Path) -> CpuBackend:
+    """One for each choice of options, so that a kernel that meets it again is compiled."""
+    return CpuBackend(CpuDevice(threads), ObjectCache(directory))
 
 
 class CpuExecutable:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-from weakref import WeakSet
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +27,10 @@ class Storage:
         version: counts the permutations; what is derived from positions compares it.
         referrers: the key fields that point to the relation, held weakly.
         primary: the grouping that decides the order, or None.
+        compiled: what each kernel keeps for the relation: here, so that it goes with the relation, and with the kernel.
     """
 
-    __slots__ = ("order", "primary", "rank", "referrers", "size", "version")
+    __slots__ = ("compiled", "order", "primary", "rank", "referrers", "size", "version")
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -38,6 +39,7 @@ class Storage:
         self.version = 0
         self.referrers: WeakSet[Field] = WeakSet()
         self.primary: Grouping | None = None
+        self.compiled: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
 
     def positions_of(self, identities: Array) -> Array:
         """The positions of the rows with these identities, all in range."""
