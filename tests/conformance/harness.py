@@ -61,7 +61,7 @@ def evaluate(expression, result, names=None, **fields):
 
 
 def evaluate_each(results, names=None, **fields):
-    """As ``evaluate``, of all the expressions that have a type in ``results``, in one kernel; the values by expression."""
+    """As ``evaluate``, of all expressions that have a type in ``results``, in one kernel; the values by expression."""
     rows = rows_with(**fields)
     outs = {expression: rows.new_field(f"out_{i}", result) for i, (expression, result) in enumerate(results.items())}
     body = "\n".join(f"r.{out.name} = {expression}" for expression, out in outs.items())

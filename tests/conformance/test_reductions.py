@@ -61,7 +61,6 @@ SCALARS = {
     "d": ebb.float64,
     "b": ebb.bool_,
 }
-CASES = [(op, letter) for op, (_, _, letters) in OPERATORS.items() for letter in letters]
 
 
 def values_of(scalar, shape, seed, op):
@@ -72,55 +71,51 @@ def values_of(scalar, shape, seed, op):
     return generator.integers(low, high, shape).astype(scalar.dtype)
 
 
-@pytest.mark.parametrize(("op", "letter"), CASES)
-def test_every_operator_and_scalar_type(backend, op, letter):
-    """Own rows, other rows and a global, in one program of three kernels."""
+def reduce_everywhere(op, types, rows_count=130, others_count=20):
+    """Reduces values of ``types`` into own rows, other rows and globals, in one kernel; compares with NumPy."""
     statement, function, _ = OPERATORS[op]
-    scalar, n = SCALARS[letter], 130
-    start, value = values_of(scalar, n, 1, op), values_of(scalar, n, 2, op)
-    to = np.random.default_rng(3).integers(0, 20, n)
-    rows, others = ebb.Relation("rows", size=n), ebb.Relation("others", size=20)
-    rows.new_field("own", scalar, init=start)
-    rows.new_field("value", scalar, init=value)
+    rows, others = ebb.Relation("rows", size=rows_count), ebb.Relation("others", size=others_count)
+    to = np.random.default_rng(3).integers(0, others_count, rows_count)
     rows.new_field("k", others, init=to)
-    others.new_field("sum", scalar, init=start[:20])
-    total = ebb.Global(scalar, start[0].item())
-    for place in ("r.own", "r.k.sum", "total.value"):
-        kernel_of(statement.format(place=place, value="r.value"), rows=rows, total=total)(rows)
-    by_key, over_all = start[:20].copy(), start[0]
-    with np.errstate(over="ignore"):
-        function.at(by_key, to, value)
-        for one in value:
-            over_all = function(over_all, one)
-        np.testing.assert_array_equal(rows.own.to_numpy(), function(start, value))
-    np.testing.assert_array_equal(others.sum.to_numpy(), by_key)
-    np.testing.assert_allclose(total.value, over_all, rtol=1e-5 if letter == "f" else 1e-12)
+    totals, expected, body = {}, {}, []
+    for number, shaped in enumerate(types):
+        shape = (rows_count, *shaped.shape)
+        start, value = (values_of(shaped.scalar, shape, seed + 2 * number, op) for seed in (1, 2))
+        own, given, total = f"own{number}", f"value{number}", f"total{number}"
+        rows.new_field(own, shaped, init=start)
+        rows.new_field(given, shaped, init=value)
+        others.new_field(own, shaped, init=start[:others_count])
+        totals[total] = ebb.Global(shaped, start[0])
+        for place in (f"r.{own}", f"r.k.{own}", f"{total}.value"):
+            body.append(statement.format(place=place, value=f"r.{given}"))
+        by_key, over_all = start[:others_count].copy(), start[0]
+        with np.errstate(over="ignore"):
+            function.at(by_key, to, value)
+            for one in value:
+                over_all = function(over_all, one)
+            expected[number] = function(start, value), by_key, over_all
+    kernel_of("\n".join(body), rows=rows, **totals)(rows)
+    for number, shaped in enumerate(types):
+        in_own, by_key, over_all = expected[number]
+        np.testing.assert_array_equal(rows.fields[f"own{number}"].to_numpy(), in_own, err_msg=repr(shaped))
+        np.testing.assert_array_equal(others.fields[f"own{number}"].to_numpy(), by_key, err_msg=repr(shaped))
+        tolerance = 1e-5 if shaped.scalar == ebb.float32 else 1e-12
+        np.testing.assert_allclose(totals[f"total{number}"].value, over_all, rtol=tolerance, err_msg=repr(shaped))
 
 
 @pytest.mark.parametrize("op", OPERATORS)
-@pytest.mark.parametrize("shaped", [ebb.vec3i, ebb.mat2x3i], ids=repr)
-def test_every_operator_on_vectors_and_matrices(backend, op, shaped):
-    statement, function, _ = OPERATORS[op]
-    n = 70
-    start = values_of(ebb.int32, (n, *shaped.shape), 1, op)
-    value = values_of(ebb.int32, (n, *shaped.shape), 2, op)
-    to = np.random.default_rng(3).integers(0, 9, n)
-    rows, others = ebb.Relation("rows", size=n), ebb.Relation("others", size=9)
-    rows.new_field("own", shaped, init=start)
-    rows.new_field("value", shaped, init=value)
-    rows.new_field("k", others, init=to)
-    others.new_field("sum", shaped, init=start[:9])
-    total = ebb.Global(shaped, start[0])
-    for place in ("r.own", "r.k.sum", "total.value"):
-        kernel_of(statement.format(place=place, value="r.value"), rows=rows, total=total)(rows)
-    by_key, over_all = start[:9].copy(), start[0]
-    function.at(by_key, to, value)
-    with np.errstate(over="ignore"):
-        for one in value:
-            over_all = function(over_all, one)
-    np.testing.assert_array_equal(rows.own.to_numpy(), function(start, value))
-    np.testing.assert_array_equal(others.sum.to_numpy(), by_key)
-    np.testing.assert_array_equal(total.value, over_all)
+def test_every_operator_on_every_scalar_type(backend, op):
+    reduce_everywhere(op, [SCALARS[letter] for letter in OPERATORS[op][2]])
+
+
+@pytest.mark.parametrize("op", OPERATORS)
+def test_every_operator_on_vectors_and_matrices(backend, op):
+    reduce_everywhere(op, [ebb.vec3i, ebb.mat2x3i], rows_count=70, others_count=9)
+
+
+@pytest.mark.parametrize("op", ["+", "-", "*", "min", "max"])
+def test_reductions_of_float_vectors_and_matrices(backend, op):
+    reduce_everywhere(op, [ebb.vec3f, ebb.vec4d, ebb.mat3d, ebb.mat2f], rows_count=70, others_count=9)
 
 
 def test_reductions_by_component(backend):
