@@ -21,6 +21,7 @@ from ebb.compiler import kir_print, kir_walk
 from ebb.compiler.arguments import argument_type, check_argument, uniform_values
 from ebb.compiler.elaborate.elaborate import elaborate
 from ebb.compiler.elaborate.errors import NotAFunction
+from ebb.compiler.elaborate.errors_syntax import TooDeep
 from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
@@ -263,6 +264,12 @@ class Kernel:
         return specialisation
 
     def _specialise(self, relation: Relation, types: _Types) -> Specialisation:
+        try:
+            return self._compile(relation, types)
+        except RecursionError:
+            raise KernelSyntaxError(TooDeep(self._name)) from None
+
+    def _compile(self, relation: Relation, types: _Types) -> Specialisation:
         elaborated = elaborate(self.source, relation, types)
         phases = check_phases(elaborated.kernel)
         kernel = run_passes(elaborated.kernel)

@@ -126,3 +126,26 @@ def test_a_backend_that_is_chosen_again_is_the_same():
             return current_backend()
 
     assert chosen(threads=2) is chosen(threads=2) is not chosen(threads=1)
+
+
+def test_arguments_of_host_functions_that_are_no_names():
+    rows = rows_with(a=(ebb.float64, [0.0]), b=(ebb.float64, [0.0]))
+    rejects(ebb.RelationError, "E5", lambda: rows.swap(["a"], "b"))
+    rejects(ebb.RelationError, "E5", lambda: rows.copy("a", {}))
+    for name in (["cpu"], None, {}):
+        rejects(ebb.BackendError, "E601", lambda name=name: ebb.set_backend(name))
+
+
+def test_a_number_of_threads_from_numpy():
+    with ebb.backend("cpu", threads=np.int64(2)):
+        assert "2 threads" in current_backend().device.describe()
+
+
+def test_fields_and_keys_are_no_parameters(backend):
+    rows = rows_with(a=(ebb.float64, [0.0]), b=(ebb.float64, [2.0]))
+    program = kernel_of("r.a = r[source]", "r: rows, source", rows=rows)
+    assert "pass its name: 'b'" in str(rejects(ebb.KernelTypeError, "E263", lambda: program(rows, rows.b)))
+    program(rows, "b")
+    assert rows.a.to_numpy()[0] == 2.0
+    number = kernel_of("r.a = ebb.float64(ebb.id(other))", "r: rows, other: rows", rows=rows)
+    assert "reads them from fields" in str(rejects(ebb.KernelTypeError, "E263", lambda: number(rows, 0)))

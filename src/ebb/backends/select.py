@@ -71,7 +71,7 @@ def current_backend() -> Backend:
 
 
 def _make_backend(name: str, options: Mapping[str, Any]) -> Backend:
-    if name not in BACKENDS:
+    if not isinstance(name, str) or name not in BACKENDS:  # pyright: ignore[reportUnnecessaryIsInstance]
         raise BackendError(UnknownBackend(str(name), tuple(BACKENDS)))
     make, accepted = BACKENDS[name]
     for option in options:

@@ -7,7 +7,8 @@ from difflib import get_close_matches
 from typing import Any, ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic
-from ebb.types.types import Type
+from ebb.relations.field import Field
+from ebb.types.types import KeyType, Type
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,15 @@ class ArgumentType(Diagnostic):
 
     @property
     def notes(self) -> tuple[str, ...]:
+        if isinstance(self.expected, KeyType):
+            return (f"it is declared as {self.expected!r}, and keys are not passed: a kernel reads them from fields",)
         if self.expected is None:
             return ("a parameter is a number, a bool, a small NumPy array or the name of a field",)
         return (f"it is declared as {self.expected!r}" if not isinstance(self.expected, str) else self.expected,)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (f"pass its name: '{self.value.name}'",) if isinstance(self.value, Field) else ()
 
 
 @dataclass(frozen=True)

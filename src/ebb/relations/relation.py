@@ -304,7 +304,7 @@ class Relation:
             if field.relation is not self:
                 raise RelationError(ForeignField(self.name, field.path))
             return field
-        if field not in self._fields:
+        if not isinstance(field, str) or field not in self._fields:  # pyright: ignore[reportUnnecessaryIsInstance]
             raise RelationError(UnknownName(self.name, "field", str(field), tuple(self._fields)))
         return self._fields[field]
 

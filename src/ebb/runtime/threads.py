@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import operator
 import os
 import sys
 import sysconfig
@@ -89,9 +90,13 @@ def thread_count(requested: Any = None) -> int:
 
 
 def _checked(source: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_THREADS:
+    try:
+        count = operator.index(value)
+    except TypeError:
+        count = 0
+    if isinstance(value, bool) or not 1 <= count <= MOST_THREADS:
         raise BackendError(BadThreadCount(source, value, MOST_THREADS))
-    return value
+    return count
 
 
 @cache

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ebb.compiler.elaborate.errors import KernelDiagnostic
+from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.errors import EbbError, KernelSyntaxError
 
 
@@ -45,6 +46,29 @@ class UselessExpression(KernelDiagnostic):
     @property
     def hints(self) -> tuple[str, ...]:
         return ("assign it, put parentheses around an expression of several lines, or remove it",)
+
+
+@dataclass(frozen=True)
+class TooDeep(Diagnostic):
+    """Expressions or statements that are nested deeper than the compiler can follow."""
+
+    code: ClassVar[str] = "E118"
+    kernel: str
+
+    @property
+    def title(self) -> str:
+        return f"kernel '{self.kernel}' is nested too deeply: Python's recursion limit was reached in compiling it"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("a sum of n terms is n - 1 operations inside one another",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (
+            "compute parts of a long expression in statements of their own",
+            "raise the limit before the first launch: sys.setrecursionlimit(10_000)",
+        )
 
 
 @dataclass(frozen=True)
