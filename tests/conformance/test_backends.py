@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import ebb
 
+from .conftest import mark_gaps
 from .harness import BACKENDS, LARGE, rejects, rows_with
 
 PROGRAM = """
@@ -206,3 +208,24 @@ def test_numbers_of_threads_give_one_result():
             program(rows)
         results.add(rows.y.to_numpy().tobytes())
     assert len(results) == 1
+
+
+def test_a_gap_is_a_strict_expected_failure():
+    """What ``notimpl`` does to the one backend that it names, and to no other."""
+    gap = pytest.mark.notimpl("opencl", reason="no double precision")
+
+    def marks_on(backend):
+        found = []
+        mark_gaps(
+            SimpleNamespace(
+                callspec=SimpleNamespace(params={"backend": backend}),
+                iter_markers=lambda name: [gap.mark],
+                add_marker=lambda decorator: found.append(decorator.mark),
+            )
+        )
+        return found
+
+    (mark,) = marks_on("opencl")
+    assert mark.name == "xfail"
+    assert mark.kwargs == {"reason": "no double precision", "raises": ebb.BackendError, "strict": True}
+    assert not marks_on("cpu")
