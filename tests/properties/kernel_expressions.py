@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TypeVar
 
-from .worlds import KEYS
+from .worlds import GLOBALS, KEYS, NUMBERS
 
 T = TypeVar("T")
 
@@ -99,6 +99,9 @@ class Expressions:
         self.grouped = grouped
         self.relation = self.pick(("nodes", "nodes", "links", "links", "cells"))
         self.wild = self.chance(1, 3)
+        # A few fields, so that statements meet in them.
+        self.fields = tuple(self.random.sample(tuple(NUMBERS), 4))
+        self.globals = tuple(self.random.sample(tuple(GLOBALS), 2))
         self.plan: dict[tuple[str, str], str] = {}
         self.names = 0
 
@@ -153,7 +156,7 @@ class Expressions:
         if place not in self.plan:
             options = ("read", *(PHASE_OF.get(op, op) for op in OPERATORS[KIND_OF_GLOBAL[name]]))
             self.plan[place] = Random(f"{self.seed} {place}").choice(options)
-        return "read" if self.breaks_plan() else self.plan[place]
+        return self.pick(("read", *OPERATORS[KIND_OF_GLOBAL[name]])) if self.breaks_plan() else self.plan[place]
 
     # ---- Keys ----
 
@@ -161,7 +164,9 @@ class Expressions:
         """The keys that can be written at this point: names, and what one step leads to from them."""
         found = list(scope.keys)
         for _ in range(deep):
-            found += [step for key in scope.keys for step in self.steps(key)]
+            found += [step for key in found for step in self.steps(key)]
+        if deep and self.chance(1, 3):
+            found += [step for key in self.random.sample(found, min(3, len(found))) for step in self.steps(key)]
         return [key for key in found if relation is None or key.relation == relation]
 
     def steps(self, key: Key) -> Iterator[Key]:
@@ -193,7 +198,8 @@ class Expressions:
         key = self.key(scope)
         if key is not None:
             bits = FIELD_BITS.get(kind, (0, 0))
-            found += [Code(f"{key.text}.{name}", *bits) for name in FIELDS_OF[kind] if self.may_read(key, name)] * 2
+            names = [name for name in FIELDS_OF[kind] if name in self.fields and self.may_read(key, name)]
+            found += [Code(f"{key.text}.{name}", *bits) for name in names] * 2
         globl = GLOBAL_OF.get(kind)
         if globl is not None and self.global_phase(globl) == "read":
             found.append(Code(f"{globl}.value" if self.chance(1, 2) else globl, *FIELD_BITS.get(kind, (0, 0))))
@@ -234,7 +240,8 @@ class Expressions:
             case 0 | 1 | 2 | 3:
                 return Code(f"({a} {self.pick(('+', '-', '*', '&', '|', '^'))} {self.expr(scope, 'int', depth).text})")
             case 4:
-                divisor = self.pick(("3", "-2", "7", *(name for name, kind in scope.numbers.items() if kind == "int")))
+                names = [name for name, kind in scope.numbers.items() if kind == "int" and name not in scope.fixed]
+                divisor = self.pick(("3", "-2", "7", *names))
                 return Code(f"({a} {self.pick(('//', '%'))} {divisor})")
             case 5:
                 return Code(f"{self.pick(('-', '~', '+'))}({a})")

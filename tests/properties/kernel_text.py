@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from random import Random
 
 from .kernel_expressions import CUT, KIND_OF_GLOBAL, OPERATORS, TERM_HIGH, TYPE_OF, Expressions, Key, Scope
-from .worlds import GLOBALS, KEYS, NUMBERS
+from .worlds import KEYS
 
 STATEMENTS = 16
 """How many statements a kernel has at most."""
@@ -83,7 +83,7 @@ class _Writer(Expressions):
 
     def change_field(self, scope: Scope) -> None:
         """A write, or where the plan has no field for it another statement."""
-        places = [(key, name) for key in self.keys(scope, deep=0) for name in NUMBERS if self.may_write(key, name)]
+        places = [(key, name) for key in self.keys(scope, deep=0) for name in self.fields if self.may_write(key, name)]
         if not places:
             return self.assign(scope)
         key, name = self.pick(places)
@@ -101,7 +101,7 @@ class _Writer(Expressions):
         places = [
             (key, name, op)
             for key in (self.pick(keys), self.pick(keys))
-            for name in NUMBERS
+            for name in self.fields
             for op in set(OPERATORS[TYPE_OF[name]])
             if self.may_reduce(key, name, op)
         ]
@@ -135,10 +135,10 @@ class _Writer(Expressions):
         return self.held(self.expr(scope, kind), kind, high.get(kind, 0)).text
 
     def reduce_global(self, scope: Scope) -> None:
-        name = self.pick(tuple(GLOBALS))
+        name = self.pick(self.globals)
         phase = self.global_phase(name)
         kind = KIND_OF_GLOBAL[name]
-        if phase == "read":
+        if phase == "read" or (kind == "bool" and phase not in OPERATORS["bool"]):
             return self.assign(scope)
         place = f"{name}.value"
         if kind == "vec" and self.chance(1, 3):
@@ -160,12 +160,20 @@ class _Writer(Expressions):
         scope.numbers[name] = kind
 
     def bind_key(self, scope: Scope) -> None:
-        key = self.key(scope)
+        key = scope.keys[0] if self.chance(1, 4) else self.key(scope)
         if key is None:
-            return
+            return None
+        known = [
+            old for old in scope.keys if old.text[0] == "k" and old.text.isidentifier() and old.relation == key.relation
+        ]
+        if known and self.chance(1, 3):
+            # A name that is bound twice is not centered, whatever it is bound to; wild kernels take it for what it was.
+            old = self.pick(known)
+            scope.keys[scope.keys.index(old)] = Key(old.text, old.relation, old.centered and self.wild)
+            return self.line(f"{old.text} = {key.text}")
         name = self.fresh("k")
         self.line(f"{name} = {key.text}")
-        scope.keys.append(Key(name, key.relation, key.centered))
+        return scope.keys.append(Key(name, key.relation, key.centered))
 
     def write_key(self, scope: Scope) -> None:
         own = scope.keys[0]
