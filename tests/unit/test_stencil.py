@@ -159,6 +159,12 @@ def test_empty_sets_pass():
     check(empty, move(empty, 1, 0))
 
 
+def test_an_empty_grid_has_no_rows_to_give():
+    cells, empty = Relation("cells", shape=(3,)), Relation("empty", shape=(0,), periodic=(True,))
+    (found,) = failures(cells, affine(empty, [[1, 0]], own(cells)))
+    assert found.primary.text == "offset 0 asks for indices 0 to 2 of dimension 0, which is empty"
+
+
 def test_no_box_will_do():
     cells = Relation("cells", shape=(3,))
     (found,) = failures(cells, move(cells, 3))

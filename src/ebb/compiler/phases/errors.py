@@ -239,10 +239,8 @@ class StencilOutOfBounds(Diagnostic):
     def primary(self) -> Label:
         low, high = self.reach
         asked = f"index {low}" if low == high else f"indices {low} to {high}"
-        return Label(
-            self.span,
-            f"{self.move} asks for {asked} of dimension {self.dimension}, which has 0 to {self.extent - 1}",
-        )
+        has = f"has 0 to {self.extent - 1}" if self.extent else "is empty"
+        return Label(self.span, f"{self.move} asks for {asked} of dimension {self.dimension}, which {has}")
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ def _settle(step: kir.Affine, asked: Coordinates) -> Coordinates:
     """The coordinates that a step gives: wrapped, or held within the grid."""
     target = target_of(step)
     return [
-        index % extent if wraps else np.clip(index, 0, extent - 1)
+        index % max(extent, 1) if wraps else np.clip(index, 0, extent - 1)
         for index, extent, wraps in zip(asked, target.shape, target.periodic, strict=True)
     ]
 
@@ -161,9 +161,10 @@ def _settle(step: kir.Affine, asked: Coordinates) -> Coordinates:
 def _outside(step: kir.Affine, dimension: int, index: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
     """Which indices lie outside the grid in a dimension, or None where it wraps."""
     target = target_of(step)
-    if target.periodic[dimension]:
+    extent = target.shape[dimension]
+    if target.periodic[dimension] and extent:
         return None
-    return np.asarray((index < 0) | (index >= target.shape[dimension]), dtype=np.bool_)
+    return np.asarray((index < 0) | (index >= extent), dtype=np.bool_)
 
 
 def _at(axis: npt.NDArray[Any], place: Sequence[Any]) -> Any:
