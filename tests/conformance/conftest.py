@@ -29,14 +29,6 @@ def mark_gaps(item):
             item.add_marker(pytest.mark.xfail(reason=mark.kwargs["reason"], raises=ebb.BackendError, strict=True))
 
 
-@pytest.fixture(scope="session", autouse=True)
-def compiled_kernels(tmp_path_factory):
-    """One cache folder a session: programs that differ in data only compile once, and no older build is believed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("EBB_CACHE_DIR", str(tmp_path_factory.mktemp("kernels")))
-        yield
-
-
 @pytest.fixture(params=BACKENDS)
 def backend(request):
     """The name of the backend that the program runs on."""

@@ -8,6 +8,9 @@ from typing import Any, ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic
 
+_LATER = ("opencl", "cuda")
+"""Backends that the contract names and this version does not have."""
+
 
 @dataclass(frozen=True)
 class UnknownBackend(Diagnostic):
@@ -23,7 +26,8 @@ class UnknownBackend(Diagnostic):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return (f"there are {', '.join(self.known)}",)
+        later = (f"the language is made for '{self.name}' too, but this version has no such device",)
+        return (f"there are {', '.join(self.known)}", *(later if self.name in _LATER else ()))
 
     @property
     def hints(self) -> tuple[str, ...]:
