@@ -139,7 +139,8 @@ class WriteToOtherRow(Diagnostic):
     @property
     def secondary(self) -> tuple[Label, ...]:
         # An augmented assignment such as ``/=`` reads and writes at one place; its write says it all.
-        reads = [use for use in self.reads if all(use.span != write.span for write in self.writes)]
+        places = {write.span for write in self.writes}
+        reads = [use for use in self.reads if use.query or use.span not in places]
         others = (*self.writes[1:_MOST_LABELS], *reads[:_MOST_LABELS])
         return tuple(Label(use.span, f"{use.phase}: {_use_text(self.field, use)}") for use in others)
 
