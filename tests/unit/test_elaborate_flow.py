@@ -160,3 +160,32 @@ def test_a_global_can_be_given_to_a_function():
     world = make_world()
     world.names["add"] = ebb.func(world.function("g.value += x", "g, x"))
     assert world.kir("add(G, v.d)").endswith("global0 += x")
+
+
+def test_a_loop_in_one_branch_does_not_change_a_local_in_the_other(world):
+    body = "x = v.d\nif v.b:\n    for x in (1.0, 2.0): v.f += 1\nelse:\n    x *= 2\nv.d = x"
+    assert world.kir(body) == (
+        "x: float64 = V.d[v]\n"
+        "if V.b[v]:\n"
+        "  x = 1.0\n"
+        "  V.f[v] += 1.0f32\n"
+        "  x = 2.0\n"
+        "  V.f[v] += 1.0f32\n"
+        "else:\n"
+        "  x = x * 2.0\n"
+        "V.d[v] = x"
+    )
+
+
+def test_what_an_unrolled_loop_leaves_is_not_known_after_a_branch_or_in_the_next_turn(world):
+    first = "for x in (1, 2): pass\n"
+    assert world.errors(first + "if v.b:\n    for x in (3, 4): pass\nv.i = x") == [("E121", "x")]
+    assert world.errors(first + "for i in range(3):\n    v.i += x\n    for x in (3, 4): pass") == [("E121", "x")]
+    assert world.kir(first + "for x in (3, 4): pass\nv.i = x") == "V.i[v] = 4"
+
+
+def test_a_jump_after_a_return_is_dead_code(world):
+    assert (
+        world.kir("for x in (1, 2):\n    if v.b:\n        return\n        continue\n    v.i = x").count("leave turn")
+        == 2
+    )

@@ -121,16 +121,14 @@ def store(ctx: Context, target: ast.expr, value: Value, span: Span) -> None:
 def assign_name(ctx: Context, target: ast.Name, value: Value, span: Span) -> None:
     """Gives a local a value. The first assignment fixes its type."""
     frame, name, where = ctx.frame, target.id, ctx.span(target)
-    binding = frame.bindings.get(name)
+    binding = frame.binding(name)
     if isinstance(value, Poison) or (isinstance(binding, Bound) and isinstance(binding.value, Poison)):
-        if binding is None:
-            frame.bindings[name] = Bound(value, where)
-        frame.mark(name)
+        frame.bind(name, binding or Bound(value, where))
     elif _is_known(value):
         _bind_known(ctx, name, value, where)
     elif isinstance(binding, Variable):
         _reassign(ctx, binding, value, span)
-        frame.mark(name)
+        frame.bind(name, binding)
     else:
         expr = typed(ctx, value)
         if expr is None:

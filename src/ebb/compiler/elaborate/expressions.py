@@ -34,14 +34,16 @@ def read_name(ctx: Context, node: ast.Name) -> Value:
 
 def _local(ctx: Context, name: str, span: Span) -> Value:
     frame = ctx.frame
-    binding = frame.bindings.get(name)
+    binding = frame.binding(name)
     if binding is None:
         return _unassigned(ctx, name, span)
+    for loop in frame.loops:
+        loop.reads.setdefault((name, id(binding)), span)
     if frame.live is not None and name not in frame.live:
         reason = frame.lost.get(name)
         unset = MaybeUnset(span, name, binding.span, reason) if reason else MaybeUnset(span, name, binding.span)
         ctx.report(unset)
-        frame.mark(name)  # once is enough
+        frame.bind(name, binding)  # once is enough
     match binding:
         case Variable(local):
             return Typed(kir.ReadLocal(local, local.type, span))

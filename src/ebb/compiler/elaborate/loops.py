@@ -14,17 +14,19 @@ from ebb.compiler.elaborate.capture import elements_of
 from ebb.compiler.elaborate.context import Context, is_simple
 from ebb.compiler.elaborate.convert import Operand, adapted, component, fit, lone_scalar, operand
 from ebb.compiler.elaborate.errors_calls import NotIterable, RangeArguments
+from ebb.compiler.elaborate.errors_names import MaybeUnset
 from ebb.compiler.elaborate.errors_syntax import RejectedSyntax
 from ebb.compiler.elaborate.inline import repeatable
 from ebb.compiler.elaborate.operators import condition
 from ebb.compiler.elaborate.rejected import REJECTED_CLAUSES, REJECTED_EXPRESSIONS
-from ebb.compiler.elaborate.scope import Bound, Loop, Variable, meet, raw_lookup
+from ebb.compiler.elaborate.scope import Bound, Loop, State, Variable, raw_lookup
 from ebb.compiler.elaborate.values import Poison, Query, Sequence, Static, Typed, Value, Weak, noun
 from ebb.diagnostics.span import Span
 from ebb.relations.relation import Relation
 from ebb.types.rules import is_integer
 from ebb.types.types import ScalarType, Type, bool_, int32, int64, uint64
 
+_CHANGED = "a loop further down makes it something else, which the next turn would read here"
 _LOST = "the loop before may have been left by 'break' in any of its turns, each of which has its own '{name}'"
 
 
@@ -60,15 +62,16 @@ def while_loop(ctx: Context, node: ast.While) -> None:
     if node.orelse:
         ctx.report(RejectedSyntax(ctx.span(node.orelse[0]), *REJECTED_CLAUSES["while-else"]))
     span, frame = ctx.opening(node), ctx.frame
+    entry, loop = frame.live, Loop()
+    frame.loops.append(loop)
     with ctx.nested() as before_test:
         value = ctx.value(node.test)
         test = condition(ctx, value, "while")
-    entry = frame.live
-    loop = Loop()
+    frame.loops.pop()
     with ctx.nested() as body:
         _run_body(ctx, node.body, loop)
     endless = isinstance(value, Weak) and value.literal and value.value is True
-    frame.live = meet([*loop.breaks]) if endless else entry
+    _after(ctx, entry, loop, [] if endless else [entry, frame.live, *loop.continues])
     if test is None:
         return
     if before_test:
@@ -80,16 +83,14 @@ def while_loop(ctx: Context, node: ast.While) -> None:
 
 def break_loop(ctx: Context, node: ast.Break) -> None:
     loop, span = ctx.frame.loops[-1], ctx.span(node)
-    if ctx.frame.live is not None:
-        loop.breaks.append(ctx.frame.live)
+    loop.breaks.append(ctx.frame.live)
     ctx.emit(kir.Break(span) if loop.end is None else kir.Leave(loop.end, span))
     ctx.frame.live = None
 
 
 def continue_loop(ctx: Context, node: ast.Continue) -> None:
     loop, span = ctx.frame.loops[-1], ctx.span(node)
-    if ctx.frame.live is not None:
-        loop.continues.append(ctx.frame.live)
+    loop.continues.append(ctx.frame.live)
     ctx.emit(kir.Continue(span) if loop.turn is None else kir.Leave(loop.turn, span))
     ctx.frame.live = None
 
@@ -118,12 +119,11 @@ def _for_range(ctx: Context, node: ast.For, nodes: list[ast.expr]) -> None:
         _skip(ctx, node)
         return
     start, stop, step = bounds
-    entry = frame.live
-    local, same = _loop_local(ctx, node.target, start.type)
-    loop = Loop()
+    entry, loop = frame.live, Loop()
+    local = _loop_local(ctx, node.target, start.type)
     with ctx.nested() as body:
         _run_body(ctx, node.body, loop)
-    _after(ctx, node.target.id, entry, loop, same, _runs(start, stop, step))
+    _after(ctx, entry, loop, [*([] if _runs(start, stop, step) else [entry]), frame.live, *loop.continues])
     ctx.emit(kir.ForRange(local, start, stop, step, tuple(body), span))
 
 
@@ -202,13 +202,11 @@ def _runs(start: kir.Expr, stop: kir.Expr, step: kir.Expr) -> bool:
 def _for_query(ctx: Context, node: ast.For, query: Query) -> None:
     span, frame, target = ctx.opening(node), ctx.frame, node.target
     relation = query.index.relation
-    entry = frame.live
-    loop = Loop()
+    entry, loop = frame.live, Loop()
     if isinstance(target, ast.Name) and not query.path:
-        local, same = _loop_local(ctx, target, relation.key_type)
+        local = _loop_local(ctx, target, relation.key_type)
         with ctx.nested() as body:
             _run_body(ctx, node.body, loop)
-        _after(ctx, target.id, entry, loop, same, False)
     else:
         local = ctx.new_local("row", relation.key_type)
         with ctx.nested() as body:
@@ -217,7 +215,7 @@ def _for_query(ctx: Context, node: ast.For, query: Query) -> None:
                 value = attribute(ctx, value, step.name, query.span, step.span)
             _store_turn(ctx, target, value)
             _run_body(ctx, node.body, loop)
-        frame.live = entry
+    _after(ctx, entry, loop, [entry, frame.live, *loop.continues])
     ctx.emit(kir.ForQuery(local, query.index, query.key, tuple(body), span))
 
 
@@ -230,11 +228,12 @@ def unroll(ctx: Context, node: ast.For, elements: list[Value]) -> None:
     A local that a turn assigns first is that turn's own: so a key that each turn computes is bound once.
     """
     frame, span = ctx.frame, ctx.opening(node)
-    outer = set(frame.bindings) - _target_names(node.target)
+    targets = {name for name in _target_names(node.target) if frame.only_loops(name)}
+    outer = set(frame.bindings) - targets
     loop = Loop(end=ctx.new_label("loop"))
     with ctx.nested() as turns:
         for element in elements:
-            _forget(ctx, outer)
+            frame.forget(set(frame.bindings) - outer)
             loop.turn, loop.continues = ctx.new_label("turn"), []
             with ctx.nested() as body:
                 _store_turn(ctx, node.target, element)
@@ -243,30 +242,22 @@ def unroll(ctx: Context, node: ast.For, elements: list[Value]) -> None:
                 turns.append(kir.Block(loop.turn, tuple(body), span))
             else:
                 turns += body
-            frame.live = meet([frame.live, *loop.continues])
+            frame.join([frame.live, *loop.continues])
             if frame.live is None:
                 break  # every way left the loop
-    frame.live = meet([frame.live, *loop.breaks])
+    frame.join([frame.live, *loop.breaks])
     if not loop.breaks:
         ctx.out += turns
         return
-    for name in set(frame.bindings) - outer:
-        frame.lost[name] = _LOST.format(name=name)
-    _forget(ctx, outer)
+    own = set(frame.bindings) - outer
+    frame.lost |= {name: _LOST.format(name=name) for name in own}
+    frame.forget(own)
     assert loop.end is not None
     ctx.emit(kir.Block(loop.end, tuple(turns), span))
 
 
 def _target_names(target: ast.expr) -> set[str]:
     return {each.id for each in ast.walk(target) if isinstance(each, ast.Name)}
-
-
-def _forget(ctx: Context, keep: set[str]) -> None:
-    frame = ctx.frame
-    for name in set(frame.bindings) - keep:
-        del frame.bindings[name]
-        if frame.live is not None:
-            frame.live -= {name}
 
 
 # ---- What loops share ----
@@ -278,33 +269,34 @@ def _run_body(ctx: Context, body: list[ast.stmt], loop: Loop) -> None:
     ctx.frame.loops.pop()
 
 
-def _loop_local(ctx: Context, target: ast.Name, type_: Type) -> tuple[kir.Local, bool]:
-    """The variable of a loop, which may have another type than before, and whether it is the variable from before."""
+def _loop_local(ctx: Context, target: ast.Name, type_: Type) -> kir.Local:
+    """The variable of a loop: that of before, or where it had another type, a new one."""
     frame, name, span = ctx.frame, target.id, ctx.span(target)
-    binding = frame.bindings.get(name)
-    if isinstance(binding, Variable) and binding.local.type == type_:
-        frame.mark(name)
-        return binding.local, True
-    local = ctx.new_local(name, type_)
-    frame.bind(name, Variable(local, span))
-    return local, False
+    binding = frame.binding(name)
+    if not (isinstance(binding, Variable) and binding.local.type == type_):
+        binding = Variable(ctx.new_local(name, type_), span)
+    frame.bind(name, binding)
+    return binding.local
 
 
-def _after(ctx: Context, name: str, entry: frozenset[str] | None, loop: Loop, same: bool, runs: bool) -> None:
-    """Which names surely have values after a loop, which may run no turn."""
+def _after(ctx: Context, entry: State, loop: Loop, ways: list[State]) -> None:
+    """What has values after a loop that is left by ``ways`` and by its breaks.
+
+    A turn that binds a name to something else than the turn before must not read what it was.
+    """
     frame = ctx.frame
-    if runs:
-        frame.live = meet([frame.live, *loop.continues, *loop.breaks])
-    elif entry is not None:
-        frame.live = entry if same else entry - {name}
-    else:
-        frame.live = None
+    for state in (frame.live, *loop.continues):
+        for name, binding in (entry or {}).items():
+            read = loop.reads.get((name, id(binding)))
+            if state is not None and state.get(name) is not binding and read is not None:
+                ctx.report(MaybeUnset(read, name, binding.span, _CHANGED))
+    frame.join([*ways, *loop.breaks])
 
 
 def _store_turn(ctx: Context, target: ast.expr, value: Value) -> None:
     """Gives the variables of an unrolled loop the values of one turn."""
     match target:
-        case ast.Name(id=name) if name in ctx.frame.locals and ctx.frame.only_loops(name):
+        case ast.Name(id=name) if ctx.frame.only_loops(name):
             if isinstance(value, Typed) and not is_simple(value.expr):
                 value = Typed(ctx.temporary(name, value.expr))
             value = repeatable(ctx, value)

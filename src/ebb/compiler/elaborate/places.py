@@ -134,7 +134,7 @@ def _place_or_value(ctx: Context, node: ast.expr) -> Place | Value:
 
 def _name(ctx: Context, node: ast.Name) -> Place | Value:
     value = read_name(ctx, node)
-    binding = ctx.frame.bindings.get(node.id) if node.id in ctx.frame.locals else None
+    binding = ctx.frame.binding(node.id) if node.id in ctx.frame.locals else None
     match value:
         case Typed() if isinstance(binding, Variable):
             return LocalPlace(binding.local, (), ctx.span(node))

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 from ebb.compiler import kir
 from ebb.compiler.elaborate.source import SourceFunction
 from ebb.compiler.elaborate.values import Value
 from ebb.compiler.host import HostCell, HostConst, HostExpr, HostGlobal
 from ebb.diagnostics.span import Span
+
+AMBIGUOUS = "on two ways to this place a loop makes it two different things"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +43,23 @@ class Stores:
     first: dict[str, ast.Name] = field(default_factory=dict[str, ast.Name])
 
 
+Binding: TypeAlias = Variable | Bound
+
+State: TypeAlias = "Mapping[str, Binding] | None"
+"""What surely has a value at a place of the program, and which; None where no way leads there."""
+
+
 @dataclass(slots=True)
 class Loop:
     """A loop around the statements being elaborated.
 
-    ``breaks`` and ``continues`` are the names that surely have values at each. An unrolled loop is left by labels.
+    ``breaks`` and ``continues`` are the states at each. ``reads`` has where each binding was first read in the loop, by
+    name and identity. An unrolled loop is left by labels.
     """
 
-    breaks: list[frozenset[str]] = field(default_factory=list[frozenset[str]])
-    continues: list[frozenset[str]] = field(default_factory=list[frozenset[str]])
+    breaks: list[State] = field(default_factory=list[State])
+    continues: list[State] = field(default_factory=list[State])
+    reads: dict[tuple[str, int], Span] = field(default_factory=dict[tuple[str, int], Span])
     end: kir.Label | None = None
     turn: kir.Label | None = None
 
@@ -74,7 +84,9 @@ class Frame:
 
     Attributes:
         locals: the names that are local to it.
-        live: the names that surely have a value here; None where no way leads here.
+        bindings: what each name was last bound to, on whatever way.
+        live: what the names that surely have a value here are bound to; None where no way leads here.
+        lost: why names that have been bound may have no value.
     """
 
     source: SourceFunction
@@ -84,19 +96,37 @@ class Frame:
     returns: Returns
     parent: Frame | None = None
     call: Span | None = None
-    bindings: dict[str, Variable | Bound] = field(default_factory=dict[str, "Variable | Bound"])
-    live: frozenset[str] | None = frozenset()
+    bindings: dict[str, Binding] = field(default_factory=dict[str, Binding])
+    live: State = field(default_factory=dict[str, Binding])
     lost: dict[str, str] = field(default_factory=dict[str, str])
     loops: list[Loop] = field(default_factory=list[Loop])
 
-    def bind(self, name: str, binding: Variable | Bound) -> None:
+    def bind(self, name: str, binding: Binding) -> None:
+        """Says that ``name`` is ``binding`` from here on."""
         self.bindings[name] = binding
-        self.mark(name)
-
-    def mark(self, name: str) -> None:
-        """Says that ``name`` has a value from here on."""
         if self.live is not None:
-            self.live |= {name}
+            self.live = {**self.live, name: binding}
+
+    def binding(self, name: str) -> Binding | None:
+        """What ``name`` is bound to here, or where that is not sure, was last."""
+        return (self.live or self.bindings).get(name) or self.bindings.get(name)
+
+    def forget(self, names: set[str]) -> None:
+        """Says that ``names`` are bound to nothing from here on."""
+        self.bindings = {name: binding for name, binding in self.bindings.items() if name not in names}
+        if self.live is not None:
+            self.live = {name: binding for name, binding in self.live.items() if name not in names}
+
+    def join(self, states: list[State]) -> None:
+        """Several ways meet here. A name that is bound differently on two of them is bound to nothing from here on."""
+        reached = [state for state in states if state is not None]
+        if not reached:
+            self.live = None
+            return
+        common = set[str](reached[0]).intersection(*reached[1:])
+        same = {name for name in common if all(state[name] is reached[0][name] for state in reached)}
+        self.lost |= {name: AMBIGUOUS for name in common - same}
+        self.live = {name: binding for name, binding in reached[0].items() if name in same}
 
     def once(self, name: str) -> bool:
         """Whether ``name`` is bound in one place of the function only, a parameter by its call."""
@@ -105,12 +135,6 @@ class Frame:
     def only_loops(self, name: str) -> bool:
         """Whether ``name`` is bound by ``for`` alone."""
         return self.stores.count[name] == self.stores.loops[name] and name not in parameter_names(self.source.node)
-
-
-def meet(states: list[frozenset[str] | None]) -> frozenset[str] | None:
-    """The names that surely have values where several ways meet."""
-    reached = [state for state in states if state is not None]
-    return frozenset[str].intersection(*reached) if reached else None
 
 
 def parameter_names(node: ast.FunctionDef) -> list[str]:

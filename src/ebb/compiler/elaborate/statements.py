@@ -20,7 +20,7 @@ from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.inline import return_value
 from ebb.compiler.elaborate.operators import condition
 from ebb.compiler.elaborate.printing import print_statement
-from ebb.compiler.elaborate.scope import meet, raw_lookup
+from ebb.compiler.elaborate.scope import raw_lookup
 from ebb.compiler.elaborate.values import Nothing, Poison
 
 
@@ -65,13 +65,14 @@ def _called(ctx: Context, node: ast.expr) -> str | None:
 
 def _if(ctx: Context, node: ast.If) -> None:
     test = condition(ctx, ctx.value(node.test), "if")
-    before = ctx.frame.live
+    frame = ctx.frame
+    before = frame.live
     with ctx.nested() as then:
         ctx.run(node.body)
-    after_then, ctx.frame.live = ctx.frame.live, before
+    after_then, frame.live = frame.live, before
     with ctx.nested() as orelse:
         ctx.run(node.orelse)
-    ctx.frame.live = meet([after_then, ctx.frame.live])
+    frame.join([after_then, frame.live])
     if test is not None:
         ctx.emit(kir.If(test, tuple(then), tuple(orelse), ctx.opening(node)))
 
