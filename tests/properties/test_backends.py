@@ -48,7 +48,7 @@ def test_cpu_is_the_reference(salt, data):
 
 
 @pytest.mark.slow
-@settings(max_examples=2000, **QUIET)
+@settings(max_examples=500, **QUIET)
 @given(program=programs())
 def test_cpu_is_the_reference_on_many_kernels(program):
     check_backends(program)

@@ -31,7 +31,7 @@ def test_rows_of_an_accepted_kernel_run_in_any_order(salt, data):
 
 
 @pytest.mark.slow
-@settings(max_examples=20_000, **QUIET)
+@settings(max_examples=5_000, **QUIET)
 @given(program=programs())
 def test_rows_of_many_accepted_kernels_run_in_any_order(program):
     check_orders(program)

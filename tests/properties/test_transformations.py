@@ -90,7 +90,7 @@ def test_wrong_programs_are_verified_kernels_or_errors(program, seed, count):
 
 
 @pytest.mark.slow
-@settings(max_examples=10_000, **QUIET)
+@settings(max_examples=2_500, **QUIET)
 @given(program=programs(), seed=st.integers(0, 2**32 - 1), count=st.integers(1, 5))
 def test_many_wrong_programs_are_verified_kernels_or_errors(program, seed, count):
     check_damaged(program, seed, count)
