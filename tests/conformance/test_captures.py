@@ -366,3 +366,39 @@ def test_a_misspelt_name_suggests_the_nearest():
     for body, nearest in (("r.x = gravty", "gravity"), ("r.x = r.velocty", "velocity"), ("r.x = ebb.sqr(1.0)", "sqrt")):
         kernel = kernel_of(body, rows=rows, gravity=1.0)
         assert nearest in str(rejects(ebb.KernelTypeError, "E1", lambda: kernel(rows)))
+
+
+GUARDED = {
+    "a conditional": "r.x = 1.0 / steps if steps > 0 else 5.0",
+    "a branch": "r.x = 5.0\nif steps > 0:\n    r.x = 1.0 / steps",
+    "a lazy 'and'": "r.x = 5.0\nif steps > 0 and 4 // steps == 2:\n    r.x = 0.5",
+    "after a return": "r.x = 5.0\nif steps == 0:\n    return\nr.x = 0.5 + 0 % steps",
+    "a power": "r.x = 5.0 if steps == 0 else 2.0 ** 2 * steps ** -3",
+    "an unrolled loop": "r.x = 5.0\nfor n in (0, steps):\n    r.x = 1.0 / n if n > 0 else r.x",
+    "a function": "r.x = 5.0 if steps == 0 else 0.1 * math.floor(10 / steps)",
+}
+
+
+@pytest.mark.parametrize("case", GUARDED)
+def test_a_division_that_no_row_comes_to_does_not_raise(backend, case):
+    rows = rows_with(x=(ebb.float64, [0]))
+    names = _program(GUARDED[case], rows=rows, steps=0)
+    for steps, expected in ((0, 5.0), (2, 0.5), (0, 5.0)):
+        names["steps"] = steps
+        names["program"](rows)
+        assert rows.x.to_numpy()[0] == expected
+
+
+@pytest.mark.parametrize("text", ["min(low, high)", "max(-low, -high)", "pow(2, low)"])
+def test_a_function_whose_type_depends_on_the_values(backend, text):
+    rows = rows_with(n=(ebb.int32, [0]))
+    names = _program(f"r.n = {text}", rows=rows, low=1, high=1.5)
+    names["program"](rows)
+    assert rows.n.to_numpy()[0] == eval(text, {"low": 1, "high": 1.5})
+    names["low"] = -1 if "pow" in text else 2
+    rejects(ebb.KernelTypeError, "E2", lambda: names["program"](rows))
+
+
+def _program(body, **names):
+    lines = body.replace("\n", "\n    ")
+    return define(f"@ebb.kernel\ndef program(r: rows):\n    {lines}\n", math=math, **names)

@@ -72,7 +72,17 @@ class HostOperation:
     operands: tuple[HostExpr, ...]
 
 
-HostExpr: TypeAlias = HostConst | HostCell | HostGlobal | HostParameter | HostAttribute | HostItem | HostOperation
+@dataclass(frozen=True, slots=True)
+class HostAttempt:
+    """An operation that rows may never come to: ``otherwise`` where Python would raise, or gives no real number."""
+
+    operation: HostOperation
+    otherwise: int | float
+
+
+HostExpr: TypeAlias = (
+    HostConst | HostCell | HostGlobal | HostParameter | HostAttribute | HostItem | HostOperation | HostAttempt
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,14 +149,30 @@ def evaluate(expr: HostExpr, parameters: tuple[Any, ...]) -> Any:
             return getattr(evaluate(base, parameters), name)
         case HostItem(base, index):
             return evaluate(base, parameters)[index]
-        case HostOperation(op, operands):
-            function = HOST_OPERATORS[op] if isinstance(op, str) else op
-            return function(*(evaluate(operand, parameters) for operand in operands))
+        case HostOperation():
+            return _operate(expr, parameters)
+        case HostAttempt(operation, otherwise):
+            return _attempt(operation, otherwise, parameters)
+
+
+def _operate(operation: HostOperation, parameters: tuple[Any, ...]) -> Any:
+    function = HOST_OPERATORS[operation.op] if isinstance(operation.op, str) else operation.op
+    return function(*(evaluate(operand, parameters) for operand in operation.operands))
+
+
+def _attempt(operation: HostOperation, otherwise: int | float, parameters: tuple[Any, ...]) -> int | float:
+    try:
+        value = _operate(operation, parameters)
+    except (ArithmeticError, ValueError):
+        return otherwise
+    return value if isinstance(value, int | float) else otherwise
 
 
 def describe(expr: HostExpr) -> str:
     """``expr`` as Python source, for IR dumps and messages."""
     match expr:
+        case HostAttempt(operation, _):
+            return describe(operation)
         case HostConst(value):
             return repr(value)
         case HostCell(name, _) | HostGlobal(name, _) | HostParameter(name, _):

@@ -82,6 +82,8 @@ class Context:
         self.guards: dict[Any, Guard] = {}
         self._rules = rules
         self._uid = 0
+        self._depth = 0
+        self._returns = frame.returns
 
     # Python nodes
 
@@ -148,10 +150,17 @@ class Context:
     def nested(self) -> Generator[list[kir.Stmt]]:
         """Statements emitted inside go to the list that this gives."""
         outer, self.out = self.out, []
+        self._depth += 1
         try:
             yield self.out
         finally:
             self.out = outer
+            self._depth -= 1
+
+    @property
+    def surely_runs(self) -> bool:
+        """Whether every row comes to what is being elaborated: it is in no branch, and after no ``return``."""
+        return self._depth == 0 and not self._returns.used
 
     def new_local(self, name: str, type_: Type) -> kir.Local:
         self._uid += 1

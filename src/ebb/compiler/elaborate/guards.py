@@ -13,6 +13,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 
 from ebb.compiler.host import (
+    HostAttempt,
     HostAttribute,
     HostCell,
     HostConst,
@@ -170,4 +171,6 @@ def host_identity(expr: HostExpr) -> Any:
         case HostItem(base, index):
             return ("item", host_identity(base), index)
         case HostOperation(op, operands):
-            return ("operation", op if isinstance(op, str) else id(op), *map(host_identity, operands))
+            return ("operation", op, *map(host_identity, operands))
+        case HostAttempt(operation, _):
+            return ("attempt", host_identity(operation))

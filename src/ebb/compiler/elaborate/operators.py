@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -31,7 +32,7 @@ from ebb.compiler.elaborate.errors_names import CaptureFailed
 from ebb.compiler.elaborate.errors_syntax import RejectedSyntax
 from ebb.compiler.elaborate.errors_types import ConditionType, DifferentTypes, OperandTypes
 from ebb.compiler.elaborate.values import Poison, Sequence, Typed, Value, Weak, WeakChoice, noun
-from ebb.compiler.host import HostConst, HostOperation, describe
+from ebb.compiler.host import HostAttempt, HostConst, HostOperation, describe
 from ebb.diagnostics.span import Span
 from ebb.types.rules import (
     EQUALITIES,
@@ -106,7 +107,8 @@ def binary(ctx: Context, op: str, left: Value, right: Value, span: Span) -> Valu
 
 def weak_operation(ctx: Context, op: Any, operands: tuple[Weak, ...], span: Span) -> Value:
     """An operation on weak numbers, done by Python: now if they are literals, else at each launch."""
-    host = HostOperation(op, tuple(each.host for each in operands))
+    operation = HostOperation(op, tuple(each.host for each in operands))
+    host = operation if ctx.surely_runs else HostAttempt(operation, _otherwise(op, operands))
     has_value, value = ctx.evaluate(host, span)
     if not has_value:
         return Poison(span)
@@ -114,9 +116,20 @@ def weak_operation(ctx: Context, op: Any, operands: tuple[Weak, ...], span: Span
         return ctx.poison(CaptureFailed(span, describe(host), f"it is {value!r}, which is no real number"))
     if all(each.literal for each in operands):
         return Weak(HostConst(value), value, span)
-    if op == "**":  # the only operator whose Python type depends on the values
+    if op in _TYPE_BY_VALUE:
         ctx.guard_type(host, type(value))
     return Weak(host, value, span)
+
+
+_TYPE_BY_VALUE = ("**", pow, min, max)
+"""What Python gives the type of depends on the values, not only on their types."""
+
+
+def _otherwise(op: Any, operands: tuple[Weak, ...]) -> int | float:
+    """What an operation gives on a way that no row takes, where Python would raise: of the type that it has else."""
+    rounds = op in (math.floor, math.ceil, math.trunc, int) or (op is round and len(operands) == 1)
+    whole = all(isinstance(each.value, int) for each in operands) and op not in ("/", "**", pow)
+    return 0 if rounds or whole else math.nan
 
 
 def _operation(op: str, left: kir.Expr, right: kir.Expr, types: OperatorTypes, span: Span) -> kir.Expr:
