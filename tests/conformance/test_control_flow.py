@@ -301,3 +301,10 @@ def test_all_errors_are_reported_at_once():
     kernel = kernel_of("r.x = r.y\nr.x = r.v\nr.v = [1, 2]\nfoo(r.x)", rows=rows)
     error = rejects(ebb.KernelTypeError, "E", lambda: kernel.check(rows))
     assert len(error.diagnostics) == 4
+
+
+def test_a_loop_goes_over_the_vector_that_a_name_was(backend):
+    rows = rows_with(x=(ebb.float64, [0]), v=(ebb.vec3d, [[1, 2, 3]]))
+    kernel_of("v = r.v\nfor c in v:\n    v = v * 2.0\n    r.x += c\nr.v = v", rows=rows)(rows)
+    assert rows.x.to_numpy()[0] == 6
+    np.testing.assert_array_equal(rows.v.to_numpy(), [[8, 16, 24]])

@@ -51,6 +51,8 @@ def for_loop(ctx: Context, node: ast.For) -> None:
             unroll(ctx, node, list(elements_of(ctx, value).elements))
         case Typed(expr) if expr.type.shape:
             whole = ctx.simple(expr)
+            if isinstance(whole, kir.ReadLocal) and ctx.frame.rebinds(whole.local.name):
+                whole = ctx.temporary(whole.local.name, whole)  # the loop goes over what the name was at its start
             unroll(ctx, node, [Typed(component(whole, (index,))) for index in range(expr.type.shape[0])])
         case _:
             ctx.report(NotIterable(ctx.span(node.iter), noun(value), _advice(value)))

@@ -132,6 +132,10 @@ class Frame:
         """Whether ``name`` is bound in one place of the function only, a parameter by its call."""
         return self.stores.count[name] + (name in parameter_names(self.source.node)) == 1
 
+    def rebinds(self, name: str) -> bool:
+        """Whether ``=`` gives ``name`` another value than its first."""
+        return self.stores.plain[name] + (name in parameter_names(self.source.node)) > 1
+
     def only_loops(self, name: str) -> bool:
         """Whether ``name`` is bound by ``for`` alone."""
         return self.stores.count[name] == self.stores.loops[name] and name not in parameter_names(self.source.node)
