@@ -297,3 +297,38 @@ def test_a_member_that_is_a_key_and_can_be_set_leads_to_the_fields_of_its_row(ba
     give(rows)
     np.testing.assert_array_equal(rows.x.to_numpy(), [4.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(rows.next.to_numpy(), [1, 2, 3, 0])
+
+
+def test_a_component_of_a_member_with_a_setter(backend):
+    points = ebb.Relation("points", size=2)
+    points.new_field("mass", ebb.float64, init=2.0)
+    points.new_field("velocity", ebb.vec3d, init=lambda i: [i, 1, 2])
+    points.new_field("column", ebb.vec2d, init=0.0)
+
+    @points.member
+    def momentum(p):
+        return p.mass * p.velocity
+
+    @momentum.setter
+    def set_momentum(p, value):
+        p.velocity = value / p.mass
+
+    @points.member
+    def frame(p):
+        return [[p.mass, p.column.x], [0.0, p.column.y]]
+
+    @frame.setter
+    def set_frame(p, value):
+        p.column = [value[0, 1], value[1, 1]]
+
+    @ebb.kernel
+    def push(p: points):
+        p.momentum.x = 10
+        p.momentum[1] += p.momentum.x
+        p.momentum.z, p.frame[0, 1] = 7.0, 3.0
+        p.frame[1][1] -= 4
+        p.momentum.y = max(p.momentum.y, 50.0)
+
+    push(points)
+    np.testing.assert_array_equal(points.velocity.to_numpy(), [[5, 25, 3.5]] * 2)
+    np.testing.assert_array_equal(points.column.to_numpy(), [[3, -4]] * 2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from ebb.compiler import kir
@@ -195,10 +196,12 @@ def _write(ctx: Context, place: Place, value: Value, span: Span) -> None:
                 ctx.report(NoSetter(place.span, member.name, member.relation.name, None))
             else:
                 inline_member(ctx, member.setter_function, member, [Typed(key), value], span)
-        case LocalPlace(local, indices):
+        case LocalPlace(local, indices, member=member):
             expr = convert(ctx, value, place_type(place), place_text(place), spread=True)
             if expr is not None:
                 ctx.emit(kir.Assign(local, indices, expr, span))
+                if member is not None:
+                    _write(ctx, member, Typed(kir.ReadLocal(local, local.type, span)), span)
         case FieldPlace(field, key, indices):
             expr = convert(ctx, value, place_type(place), place_text(place), spread=True)
             if expr is not None:
@@ -387,15 +390,13 @@ def _report_captured(ctx: Context, target: ast.Name) -> None:
 def _kept(ctx: Context, mark: int, place: Place) -> Place:
     """``place`` with its key and indices computed before the statements emitted since ``mark``."""
     match place:
-        case FieldPlace(field, key, indices, span):
+        case FieldPlace(_, key, indices):
             key, *rest = ctx.keep_exprs(mark, (key, *indices))
-            return FieldPlace(field, key, tuple(rest), span)
-        case LocalPlace(local, indices, span):
-            return LocalPlace(local, ctx.keep_exprs(mark, indices), span)
-        case GlobalPlace(globl, name, indices, span):
-            return GlobalPlace(globl, name, ctx.keep_exprs(mark, indices), span)
-        case MemberPlace(member, key, span):
-            return MemberPlace(member, ctx.keep_exprs(mark, (key,))[0], span)
+            return replace(place, key=key, indices=tuple(rest))
+        case LocalPlace(_, indices) | GlobalPlace(_, _, indices):
+            return replace(place, indices=ctx.keep_exprs(mark, indices))
+        case MemberPlace(_, key):
+            return replace(place, key=ctx.keep_exprs(mark, (key,))[0])
 
 
 STATEMENTS: Mapping[type[ast.stmt], Callable[[Context, Any], None]] = {

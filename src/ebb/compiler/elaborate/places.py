@@ -20,10 +20,11 @@ from ebb.compiler.elaborate.attributes import (
 )
 from ebb.compiler.elaborate.capture import OBJECTS
 from ebb.compiler.elaborate.context import Context
+from ebb.compiler.elaborate.convert import typed
 from ebb.compiler.elaborate.errors_names import CapturedAssigned, NoMeaning, NotAssignable, UnknownAttribute
 from ebb.compiler.elaborate.expressions import read_name
 from ebb.compiler.elaborate.scope import Variable, raw_lookup
-from ebb.compiler.elaborate.values import Poison, Static, Typed, Value, noun, static_noun
+from ebb.compiler.elaborate.values import Poison, Sequence, Static, Typed, Value, noun, static_noun
 from ebb.diagnostics.span import Span
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
@@ -34,11 +35,15 @@ from ebb.types.types import KeyType, Type, int32, shaped_type
 
 @dataclass(frozen=True, slots=True)
 class LocalPlace:
-    """A component of a local; locals as a whole are assigned by name."""
+    """A component of a local; locals as a whole are assigned by name.
+
+    ``member``: of what the local is the value, which is set when the component has changed.
+    """
 
     local: kir.Local
     indices: tuple[kir.Expr, ...]
     span: Span
+    member: MemberPlace | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +93,8 @@ def whole_type(place: _Whole) -> Type:
 def place_text(place: _Whole) -> str:
     """What the place belongs to, for messages."""
     match place:
-        case LocalPlace(local):
-            return f"the local '{local.name}'"
+        case LocalPlace(local, member=member):
+            return f"the {'local' if member is None else 'member'} '{local.name}'"
         case FieldPlace(field):
             return f"the field '{field.path}'"
         case GlobalPlace(_, name):
@@ -191,7 +196,14 @@ def _subscript(ctx: Context, node: ast.Subscript) -> Place | Value:
 
 def _opened(ctx: Context, base: Place | Value) -> _Whole | Value:
     """``base`` where something of it is the place: a member stands for its value then."""
-    return member_value(ctx, base.member, base.key, base.span) if isinstance(base, MemberPlace) else base
+    if not isinstance(base, MemberPlace):
+        return base
+    value = member_value(ctx, base.member, base.key, base.span)
+    expr = typed(ctx, value) if isinstance(value, Typed | Sequence) and base.member.setter_function else None
+    if expr is None or isinstance(expr.type, KeyType):
+        return value
+    local = ctx.temporary(base.member.name, expr).local
+    return LocalPlace(local, (), base.span, base)
 
 
 def _kept(ctx: Context, mark: int, place: _Whole) -> _Whole:

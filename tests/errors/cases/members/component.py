@@ -10,11 +10,6 @@ def momentum(v):
     return v.qd * v.mass
 
 
-@momentum.setter
-def set_momentum(v, value):
-    v.qd = value / v.mass
-
-
 @ebb.kernel
 def step(v: vertices):
     v.momentum.x = 1.0  #~ E124
