@@ -16,6 +16,8 @@ NAN = float("nan")
 TRIANGLES = {
     "points in the plane": ([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], "E712", "positions should be numbers"),
     "points are words": ([["a", "b", "c"]], [[0, 0, 0]], "E712", "positions should be numbers"),
+    "ragged points": ([[0, 0, 0], [1]], [[0, 1, 2]], "E712", "positions should be an array"),
+    "ragged corners": (SQUARE, [[0, 1, 2], [1]], "E712", "triangles should be an array"),
     "complex points": (np.ones((3, 3), dtype=complex), [[0, 1, 2]], "E712", "complex128"),
     "quadrangles": (SQUARE, [[0, 1, 3, 2]], "E712", r"\(1, 4\)"),
     "corners are floats": (SQUARE, [[0.0, 1.0, 2.0]], "E712", "float64"),
@@ -25,6 +27,7 @@ TRIANGLES = {
     "no points": ([], [[0, 1, 2]], "E705", "there are no points"),
     "NaN": ([[0, 0, 0], [1, NAN, 0], [0, 1, 0]], [[0, 1, 2]], "E706", "point 1"),
     "infinite, unused": ([*SQUARE, [float("inf"), 0, 0]], [[0, 1, 2]], "E706", "point 4"),
+    "beyond float32": ([*SQUARE, [0, -1e39, 0]], [[0, 1, 2]], "E706", "point 4 .* too large for float32"),
     "corner twice": (SQUARE, [[0, 1, 2], [1, 3, 3]], "E707", "triangle 1 .* names one point twice"),
     "in a line": ([[0, 0, 0], [1, 1, 1], [2, 2, 2]], [[0, 1, 2]], "E707", "no area"),
     "three at an edge": (CORNER, [[0, 1, 2], [1, 0, 3], [0, 1, 4]], "E709", r"one of 3 at the edge of the points"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from pathlib import Path
 
@@ -76,6 +78,14 @@ def test_veg_may_count_from_0_and_be_inverted(tmp_path):
         TetMesh.load(path, fix_orientation=False)
 
 
+def test_files_of_windows_and_tabs(tmp_path):
+    path = write(tmp_path / "mesh.off", "\ufeff" + TRIANGLE.replace("OFF\n", "OFF ").replace(" ", "\t"))
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    assert TriMesh.load(path).triangles.v.to_numpy().tolist() == [[0, 1, 2]]
+    path = write(tmp_path / "mesh.veg", TET.replace("*MATERIAL soft", "*MATERIAL\tsoft"))
+    assert TetMesh.load(path).materials[0].name == "soft"
+
+
 def test_an_empty_mesh_is_a_mesh(tmp_path):
     assert TriMesh.load(write(tmp_path / "none.off", "OFF\n0 0 0\n")).triangles.size == 0
     assert TetMesh.load(write(tmp_path / "none.veg", "*VERTICES\n0 3\n*ELEMENTS\nTET\n0 4\n")).tetrahedra.size == 0
@@ -95,10 +105,14 @@ OFF_ERRORS = {
     "a huge count": ("OFF\n999999999999 1 0\n0 0 0\n", "E704", 3),
     "a word for a number": (TRIANGLE.replace("1 0 0\n", "1 zero 0\n"), "E703", 4),
     "two coordinates": (TRIANGLE.replace("1 0 0\n", "1 0\n"), "E703", 4),
+    "two signs": (TRIANGLE.replace("3 0 1 2", "3 0 -+1 2"), "E703", 6),
+    "digits of another script": (TRIANGLE.replace("1 0 0\n", "\u0661 0 0\n"), "E703", 4),
+    "a form feed in a comment": ("# one\f\n" + TRIANGLE.replace("1 0 0\n", "1 zero 0\n"), "E703", 5),
     "underscores": (TRIANGLE.replace("1 0 0\n", "1_0 0 0\n"), "E703", 4),
     "binary": ("OFF\n3 1 0\n\x00\x01\x02\n", "E704", 3),
     "NaN": (TRIANGLE.replace("1 0 0\n", "nan 0 0\n"), "E706", 4),
     "infinity": (TRIANGLE.replace("1 0 0\n", "1e999 0 0\n"), "E706", 4),
+    "beyond float32": (TRIANGLE.replace("1 0 0\n", "1e200 0 0\n"), "E706", 4),
     "a quadrangle": ("OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n4 0 1 3 2\n", "E703", 7),
     "a short face": (TRIANGLE.replace("3 0 1 2", "3 0 1"), "E703", 6),
     "a fractional index": (TRIANGLE.replace("3 0 1 2", "3 0 1 2.0"), "E703", 6),
@@ -129,6 +143,11 @@ VEG_ERRORS = {
     "NaN": (TET.replace("2 1 0 0", "2 nan 0 0"), "E706", 5),
     "flat": (TET.replace("4 0 0 1", "4 1 1 0"), "E707", 12),
     "material without numbers": (TET.replace("ENU, 1000, 1e7", "ENU, soft, 1e7"), "E703", 15),
+    "material of NaN": (TET.replace("1e7", "nan"), "E703", 15),
+    "material of underscores": (TET.replace("1e7", "1_0"), "E703", 15),
+    "material twice": (TET + "*MATERIAL soft\nENU, 1, 2, 0.3\n", "E703", 22),
+    "set twice": (TET + "*SET first\n1\n", "E703", 22),
+    "set of all elements": (TET + "*SET allElements\n1\n", "E703", 22),
     "unknown material": (TET.replace("first, soft", "first, hard"), "E703", 21),
     "unknown set": (TET.replace("first, soft", "last, soft"), "E703", 21),
     "set out of range": (TET.replace("*SET first\n1", "*SET first\n2"), "E703", 18),
@@ -210,6 +229,29 @@ def test_veg_keeps_every_digit_and_the_materials(tmp_path):
     assert [(r.name, r.rows.tolist()) for r in again.regions] == [("first", [0])]
 
 
+def test_regions_of_all_elements_and_of_one_set_are_kept(tmp_path):
+    regions = "*MATERIAL hard\nENU, 1, 2, 0.3\n*REGION\nfirst, hard\n*REGION\nallElements, hard\n"
+    first = TetMesh.load(write(tmp_path / "tet.veg", TET + regions))
+    first.save(tmp_path / "again.veg")
+    again = TetMesh.load(tmp_path / "again.veg")
+    assert [(r.name, r.material.name, r.rows.tolist()) for r in again.regions] == [
+        ("first", "soft", [0]),
+        ("first", "hard", [0]),
+        ("allElements", "hard", [0]),
+    ]
+
+
+def test_a_large_set_is_written_on_short_lines(tmp_path):
+    box = TetMesh.box(3, 3, 3)
+    box.save(tmp_path / "box.veg")
+    names = ", ".join(str(row) for row in range(1, 163))
+    with (tmp_path / "box.veg").open("a") as file:
+        file.write(f"*MATERIAL soft\nENU, 1, 2, 0.3\n*SET all\n{names}\n*REGION\nall, soft\n")
+    TetMesh.load(tmp_path / "box.veg").save(tmp_path / "again.veg")
+    assert max(map(len, (tmp_path / "again.veg").read_text().splitlines())) < 120
+    assert TetMesh.load(tmp_path / "again.veg").regions[0].rows.tolist() == list(range(162))
+
+
 def test_another_field_may_say_where_the_vertices_are(tmp_path):
     mesh = TetMesh.box(1, 1, 1)
     mesh.vertices.new_field("q", ebb.vec3d, init=mesh.vertices.pos.to_numpy() + 2.0)
@@ -217,7 +259,7 @@ def test_another_field_may_say_where_the_vertices_are(tmp_path):
     assert TetMesh.load(tmp_path / "moved.veg").vertices.pos.to_numpy().min() == 2.0
 
 
-@pytest.mark.parametrize("suffix", ["vtu", "vtk"])
+@pytest.mark.parametrize("suffix", ["vtu", "vtk", "msh"])
 def test_meshio_formats_hold_fields(tmp_path, suffix):
     meshio = pytest.importorskip("meshio")
     mesh = TetMesh.box(2, 1, 1)
@@ -235,7 +277,7 @@ def test_meshio_formats_hold_fields(tmp_path, suffix):
     assert np.array_equal(again.tetrahedra.v.to_numpy(), mesh.tetrahedra.v.to_numpy())
 
 
-@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "vtu"])
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "vtu", "msh"])
 def test_surfaces_through_meshio(tmp_path, suffix):
     pytest.importorskip("meshio")
     path = tmp_path / f"torus.{suffix}"
@@ -272,14 +314,21 @@ def test_without_meshio_the_message_says_what_to_install(tmp_path, monkeypatch):
 
 def unsavable(mesh, tmp_path):
     other = TetMesh.box(1, 1, 1)
+    empty = TetMesh.from_arrays([], [])
+    empty.vertices.new_field("frame", ebb.mat3d, init=0.0)
     mesh.vertices.new_field("speed", ebb.float64, init=0.0)
     yield "off", lambda: mesh.save(tmp_path / "box.off"), "do not hold cells"
     yield "veg", lambda: mesh.save(tmp_path / "box.veg", fields=["speed"]), "hold no fields"
     yield "name", lambda: mesh.save(tmp_path / "box.vtu", fields=["sped"]), "did you mean 'speed'"
     yield "foreign", lambda: mesh.save(tmp_path / "box.vtu", fields=[other.vertices.pos]), "none of vertices"
     yield "edges", lambda: mesh.save(tmp_path / "box.vtu", fields=[mesh.edges.tail]), "none of vertices"
+    mesh.vertices.new_field("friends", ebb.vector(mesh.vertices, 3), init=0)
+    yield "cells", lambda: mesh.save(tmp_path / "box.stl"), "does not hold cells of the type 'tetra'"
+    yield "left out", lambda: mesh.save(tmp_path / "box.bdf", fields=["speed"]), "not hold the fields 'speed'"
+    yield "keys", lambda: mesh.save(tmp_path / "box.veg", positions="friends"), "no vector of 3"
+    yield "empty", lambda: empty.save(tmp_path / "none.vtu", fields=["frame"]), "cannot read again what it wrote"
     yield "place", lambda: mesh.save(tmp_path / "box.vtu", positions="speed"), "no vector of 3"
-    yield "suffix", lambda: mesh.save(tmp_path / "box.unknown"), "meshio"
+    yield "suffix", lambda: mesh.save(tmp_path / "box.unknown"), f"meshio.*{tmp_path}/box.unknown"
 
 
 def test_what_cannot_be_saved(tmp_path):
@@ -291,7 +340,34 @@ def test_what_cannot_be_saved(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written(tmp_path):
+@pytest.mark.parametrize("name", ["no/such/box.veg", "no/such/box.vtu", "a\0b.veg"])
+def test_a_place_that_cannot_be_written(tmp_path, name):
     with pytest.raises(ebb.MeshFormatError) as caught:
-        TetMesh.box(1, 1, 1).save(tmp_path / "no" / "such" / "box.veg")
+        TetMesh.box(1, 1, 1).save(tmp_path / name)
     assert caught.value.codes == ("E701",)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_stays_as_it_was_where_saving_fails(tmp_path, monkeypatch):
+    path = tmp_path / "box.veg"
+    TetMesh.box(1, 1, 1).save(path)
+    before = path.read_bytes()
+
+    def fill_the_disk(self, text, **options):
+        self.write_bytes(text.encode()[:100])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", fill_the_disk)
+    with pytest.raises(ebb.MeshFormatError, match="No space left"):
+        TetMesh.box(2, 2, 2).save(path)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_the_two_files_of_tetgen(tmp_path):
+    pytest.importorskip("meshio")
+    TetMesh.box(1, 1, 1).save(tmp_path / "é.node")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["é.ele", "é.node"]
+    assert TetMesh.load(tmp_path / "é.ele").tetrahedra.size == 6
+    write(tmp_path / "é.ele", "# nothing\n")
+    with pytest.raises(ebb.MeshFormatError, match=r"'é\.ele' is missing or empty"):
+        TetMesh.load(tmp_path / "é.node")

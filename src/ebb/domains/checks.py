@@ -24,6 +24,9 @@ from ebb.errors import MeshFormatError
 # edge: there, double precision no longer tells its sign.
 _FLAT = 1e-14
 
+# Of float32, the type of ``pos``. Areas and volumes of larger coordinates would overflow, too.
+_LARGEST = float(np.finfo(np.float32).max)
+
 
 def mesh_data(points: Any, cells: Any, corners: int, cell: str) -> MeshData:
     """The arrays of a mesh, as copies of the right types.
@@ -35,12 +38,12 @@ def mesh_data(points: Any, cells: Any, corners: int, cell: str) -> MeshData:
 
 
 def check_rows(mesh: MeshData, cell: str) -> None:
-    """Check that the coordinates are finite and that the corners are points.
+    """Check that float32 holds the coordinates, as ``pos`` does, and that the corners are points.
 
     Raises:
         MeshFormatError: E705, E706.
     """
-    finite = np.isfinite(mesh.points).all(axis=1)
+    finite = (np.abs(mesh.points) <= _LARGEST).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
         raise MeshFormatError(NotFinite("point", row, mesh.origin, tuple(mesh.points[row].tolist())))
@@ -143,7 +146,7 @@ def _longest_edge(mesh: MeshData) -> Floats:
 
 
 def _points(points: Any) -> Floats:
-    array = np.asarray(points)
+    array = _array("positions", points)
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 3))
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iuf":
@@ -152,12 +155,19 @@ def _points(points: Any) -> Floats:
 
 
 def _cells(cells: Any, corners: int, cell: str) -> Integers:
-    array = np.asarray(cells)
+    array = _array(cell, cells)
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, corners), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != corners or array.dtype.kind not in "iu":
         raise MeshFormatError(WrongArray(cell, f"integers of the shape (n, {corners})", _describe(array)))
     return np.array(array, dtype=np.int64, order="C")
+
+
+def _array(name: str, given: Any) -> np.ndarray[Any, Any]:
+    try:
+        return np.asarray(given)
+    except ValueError:
+        raise MeshFormatError(WrongArray(name, "an array", "rows of different lengths")) from None
 
 
 def _describe(array: np.ndarray[Any, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic, Label
@@ -132,14 +133,15 @@ class IndexOutOfRange(BadElement):
 
 @dataclass(frozen=True)
 class NotFinite(BadElement):
-    """A coordinate is NaN or infinite."""
+    """A coordinate is NaN or infinite, or beyond the range of float32."""
 
     code: ClassVar[str] = "E706"
     coordinates: tuple[float, ...]
 
     @property
     def complaint(self) -> str:
-        return f"has a coordinate that is not finite: {self.coordinates}"
+        beyond = all(map(isfinite, self.coordinates))
+        return f"has a coordinate that is {'too large for float32' if beyond else 'not finite'}: {self.coordinates}"
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from math import prod
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -71,8 +72,8 @@ def write_mesh(
     """
     name = str(path)
     place = _own_field(name, vertices, cells, "pos" if positions is None else positions)
-    if place.relation is not vertices or place.type.shape != (3,):
-        raise MeshFormatError(Unsavable(name, f"{place.relation.name}.{place.name} is no vector of 3 at each vertex"))
+    if place.relation is not vertices or place.type.shape != (3,) or place.target is not None:
+        raise MeshFormatError(Unsavable(name, f"{place.path} is no vector of 3 numbers at each vertex"))
     points = place.to_numpy()
     if points.dtype.kind != "f":
         points = points.astype(np.float64)
@@ -114,7 +115,7 @@ def _own_field(path: str, vertices: ebb.Relation, cells: ebb.Relation, field: st
         raise MeshFormatError(Unsavable(path, f"{vertices.name} has no field {field!r}{nearest}"))
     if field.relation is vertices or field.relation is cells:
         return field
-    reason = f"the field {field.relation.name}.{field.name} is none of {vertices.name} or {cells.name} of this mesh"
+    reason = f"the field {field.path} is none of {vertices.name} or {cells.name} of this mesh"
     raise MeshFormatError(Unsavable(path, reason))
 
 
@@ -123,4 +124,4 @@ def _values(field: ebb.Field) -> Any:
     values = field.to_numpy()
     if values.dtype == np.bool_:
         values = values.astype(np.uint8)
-    return values.reshape(len(values), -1) if values.ndim > 2 else values
+    return values.reshape(len(values), prod(values.shape[1:])) if values.ndim > 2 else values

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import io
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,14 @@ import numpy.typing as npt
 from ebb.diagnostics.span import Source
 from ebb.domains.io.data import Integers, MeshData, Origin
 from ebb.domains.io.errors import MissingMeshio, UnknownFormat, UnreadableFile, Unsavable
+from ebb.domains.io.saving import replacing
 from ebb.errors import BackendError, MeshFormatError
+
+# The format of a suffix that several share, where meshio would take one that loses the cells.
+_FORMATS = {".msh": "gmsh"}
+
+# The two files of a mesh of TetGen.
+_TETGEN = (".node", ".ele")
 
 
 def read_meshio(path: str | PathLike[str], cell_type: str) -> MeshData:
@@ -40,8 +47,13 @@ def read_meshio(path: str | PathLike[str], cell_type: str) -> MeshData:
         found = ", ".join(sorted({block.type for block in mesh.cells})) or "no cells"
         raise MeshFormatError(UnknownFormat(name, f"it has {found}, and no cells of the type {cell_type!r}"))
     points = np.asarray(mesh.points, dtype=np.float64)
-    if points.shape[1] == 2:
-        points = np.column_stack([points, np.zeros(len(points))])
+    match points.shape:
+        case (_, 3):
+            pass
+        case (n, 2):
+            points = np.column_stack([points, np.zeros(n)])
+        case shape:
+            raise MeshFormatError(UnknownFormat(name, f"its points are an array of the shape {shape}"))
     cells = np.concatenate(blocks).astype(np.int64)
     return MeshData(points, cells, Origin(Source(name, "")))
 
@@ -60,31 +72,66 @@ def write_meshio(
         MeshFormatError: the file cannot be written, or the format is not known or has no place for the data.
         BackendError: meshio is not installed.
     """
-    meshio = _import(str(path))
-    data = {name: [values] for name, values in cell_data.items()}
+    name = str(path)
+    meshio = _import(name)
+    data = {key: [values] for key, values in cell_data.items()}
     mesh = meshio.Mesh(points, [(cell_type, cells)], point_data=dict(point_data), cell_data=data)
+    with replacing(path) as file:
+        try:
+            with _quiet(io.StringIO()):
+                mesh.write(str(file), file_format=_FORMATS.get(file.suffix.lower()))
+        except OSError:
+            raise
+        # Writers complain in many ways (WriteError, ReadError for the suffix, KeyError, sys.exit): all mean the same.
+        except (Exception, SystemExit) as error:
+            raise MeshFormatError(Unsavable(name, _reason(error).replace(str(file), name))) from None
+        _check_written(name, str(file), mesh)
+
+
+def _check_written(name: str, file: str, mesh: Any) -> None:
+    """Check that all of the mesh is in the file: many writers leave out, without an error, what their format lacks."""
+    cell_type, count = mesh.cells[0].type, len(mesh.cells[0].data)
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            mesh.write(str(path))
-    except OSError as error:
-        raise MeshFormatError(UnreadableFile(str(path), error.strerror or str(error))) from None
-    # Writers complain in many ways (WriteError, ReadError for the suffix, KeyError, sys.exit): all mean the same here.
-    except (Exception, SystemExit) as error:
-        raise MeshFormatError(Unsavable(str(path), _reason(error))) from None
+        found = _read(file)
+    except MeshFormatError:
+        raise MeshFormatError(Unsavable(name, "meshio cannot read again what it wrote")) from None
+    if sum(len(block.data) for block in found.cells if block.type == cell_type) != count:
+        raise MeshFormatError(Unsavable(name, f"the format does not hold cells of the type {cell_type!r}"))
+    lost = sorted([*(mesh.point_data.keys() - found.point_data), *(mesh.cell_data.keys() - found.cell_data)])
+    if lost:
+        fields = ", ".join(map(repr, lost))
+        raise MeshFormatError(Unsavable(name, f"the format does not hold the fields {fields}; .vtu files do"))
 
 
 def _read(name: str) -> Any:
     meshio = _import(name)
+    if Path(name).suffix.lower() in _TETGEN:
+        _check_tetgen(name)
     said = io.StringIO()
     try:
         # meshio prints what its readers say, and leaves by sys.exit when none of them takes the file.
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
+        with _quiet(said):
             return meshio.read(name)
     except SystemExit:
         raise MeshFormatError(UnknownFormat(name, said.getvalue().strip() or "meshio cannot read it")) from None
     # A reader that meets a damaged file fails with whatever its code runs into: an index, a key, a Unicode error.
     except Exception as error:
         raise MeshFormatError(UnknownFormat(name, _reason(error))) from None
+
+
+def _check_tetgen(name: str) -> None:
+    """Refuse files of TetGen without a first line of numbers: meshio would read on at their end for ever."""
+    for part in map(Path(name).with_suffix, _TETGEN):
+        lines = part.read_text(encoding="utf-8", errors="replace").split("\n") if part.exists() else ()
+        if not any(line.strip() and not line.strip().startswith("#") for line in lines):
+            raise MeshFormatError(UnknownFormat(name, f"{part.name!r} is missing or empty"))
+
+
+@contextmanager
+def _quiet(said: io.StringIO) -> Generator[None, None, None]:
+    """Keeps what meshio prints from the user: ``said`` gets stdout, its warnings go nowhere."""
+    with redirect_stdout(said), redirect_stderr(io.StringIO()):
+        yield
 
 
 def _reason(error: BaseException) -> str:

@@ -6,16 +6,14 @@ Source: Geomview manual, section "OFF Files". Normals and colours (``NOFF``, ``C
 from __future__ import annotations
 
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ebb.domains.io.data import Integers, MeshData, Origin
-from ebb.domains.io.errors import UnreadableFile
+from ebb.domains.io.saving import write_text
 from ebb.domains.io.text import Lines
-from ebb.errors import MeshFormatError
 
 _HEADERS = ("OFF", "COFF", "NOFF", "CNOFF", "STOFF", "STCOFF", "STNOFF", "STCNOFF")
 _COUNTS = "the numbers of points, faces and edges"
@@ -28,10 +26,10 @@ def read_off(path: str | PathLike[str]) -> MeshData:
         MeshFormatError: the file cannot be read, is malformed, cut short, or has faces that are no triangles.
     """
     lines = Lines(path)
-    keyword, _, rest = lines.take("the keyword OFF").partition(" ")
+    keyword, rest = lines.take_keyword("the keyword OFF")
     if keyword not in _HEADERS:
-        raise lines.malformed("the keyword OFF", 0)
-    n_points, n_faces, *_ = lines.take_counts(2, _COUNTS, rest.strip() or None)
+        raise lines.malformed("the keyword OFF")
+    n_points, n_faces, *_ = lines.take_counts(2, _COUNTS, rest or None)
     start = lines.position
     points = lines.take_floats(n_points, 3, "points")
     faces = _take_triangles(lines, n_faces)
@@ -52,18 +50,6 @@ def write_off(path: str | PathLike[str], points: npt.NDArray[np.floating[Any]], 
     text += [f"{x!s} {y!s} {z!s}" for x, y, z in points]
     text += [f"3 {i} {j} {k}" for i, j, k in triangles.tolist()]
     write_text(path, text)
-
-
-def write_text(path: str | PathLike[str], lines: list[str]) -> None:
-    """Write the lines, and say it as a mesh error where that fails.
-
-    Raises:
-        MeshFormatError: the file cannot be written (E701).
-    """
-    try:
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise MeshFormatError(UnreadableFile(str(path), error.strerror or type(error).__name__)) from None
 
 
 def _take_triangles(lines: Lines, count: int) -> Integers:

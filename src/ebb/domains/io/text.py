@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
@@ -13,6 +14,9 @@ from ebb.diagnostics.span import Source, Span
 from ebb.domains.io.data import Floats, Integers, line_span
 from ebb.domains.io.errors import MalformedLine, TruncatedFile, UnreadableFile
 from ebb.errors import MeshFormatError
+
+# At most 18 digits, which int64 holds whatever they are.
+_INTEGER = re.compile("[+-]?[0-9]{1,18}")
 
 
 class Lines:
@@ -26,7 +30,8 @@ class Lines:
         self.source = Source(str(path), _read(path))
         self.texts: list[str] = []
         self.numbers: list[int] = []
-        for number, line in enumerate(self.source.text.splitlines(), start=1):
+        # Not by str.splitlines: an editor does not count form feeds and Unicode separators as ends of lines.
+        for number, line in enumerate(self.source.text.split("\n"), start=1):
             text = line.partition("#")[0].strip()
             if text:
                 self.texts.append(text)
@@ -53,6 +58,15 @@ class Lines:
             raise self.malformed(expected, self.position - 1)
         self.position += 1
         return self.texts[self.position - 1]
+
+    def take_keyword(self, expected: str) -> tuple[str, str]:
+        """The first word of the next line, and the rest of it.
+
+        Raises:
+            MeshFormatError: there is none (E703).
+        """
+        keyword, *rest = self.take(expected).split(maxsplit=1)
+        return keyword, "".join(rest)
 
     def malformed(self, expected: str, index: int | None = None) -> MeshFormatError:
         """The error that ``index``, by default the line taken last, is not ``expected``."""
@@ -81,7 +95,7 @@ class Lines:
         Raises:
             MeshFormatError: the file ends before (E704), or a line is not numbers (E703).
         """
-        return self._take_block(count, columns, what, np.float64, _as_float)
+        return self._take_block(count, columns, what, np.float64, as_float)
 
     def take_integers(self, count: int, columns: int, what: str) -> Integers:
         """The first ``columns`` integers of each of the next ``count`` lines, as int64 of shape (count, columns).
@@ -107,6 +121,14 @@ class Lines:
             raise self.malformed(f"{columns} {kind}", start + _first_bad(block, columns, convert)) from None
 
 
+def as_float(word: str) -> float | None:
+    """The number that a word is, or None. Python's underscores and other scripts' digits are no part of numbers."""
+    try:
+        return float(word) if word.isascii() and "_" not in word else None
+    except ValueError:
+        return None
+
+
 def _first_bad(block: list[str], columns: int, convert: Callable[[str], Any]) -> int:
     """The first line that has fewer than ``columns`` words, or one that is no number."""
     for index, line in enumerate(block):
@@ -117,22 +139,12 @@ def _first_bad(block: list[str], columns: int, convert: Callable[[str], Any]) ->
 
 
 def _as_integer(word: str) -> int | None:
-    digits = word.removeprefix("-").removeprefix("+")
-    if not (digits.isascii() and digits.isdigit()) or len(digits) > 18:
-        return None
-    return int(word)
-
-
-def _as_float(word: str) -> float | None:
-    try:
-        return None if "_" in word else float(word)
-    except ValueError:
-        return None
+    return int(word) if _INTEGER.fullmatch(word) else None
 
 
 def _read(path: str | PathLike[str]) -> str:
     try:
-        return Path(path).read_text(encoding="utf-8", errors="replace")
+        return Path(path).read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise MeshFormatError(UnreadableFile(str(path), error.strerror or type(error).__name__)) from None
     except ValueError as error:

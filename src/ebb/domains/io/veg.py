@@ -6,7 +6,9 @@ elements are numbered from 0 or from 1, as the first point has it.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, field
+from math import isfinite
 from os import PathLike
 from typing import Any
 
@@ -15,11 +17,15 @@ import numpy.typing as npt
 
 from ebb.domains.io.data import Floats, Integers, Material, MeshData, Origin, Region
 from ebb.domains.io.errors import IndexOutOfRange
-from ebb.domains.io.off import write_text
-from ebb.domains.io.text import Lines
+from ebb.domains.io.saving import write_text
+from ebb.domains.io.text import Lines, as_float
 from ebb.errors import MeshFormatError
 
+# The set that every file has.
 _ALL = "allElements"
+
+# Elements of a set on one line: readers with a buffer of fixed size take lines of some thousand characters.
+_SET_LINE = 16
 
 
 @dataclass(slots=True)
@@ -46,11 +52,11 @@ def read_veg(path: str | PathLike[str]) -> MeshData:
     lines = Lines(path)
     parts = _Parts()
     while not lines.at_end:
-        keyword, _, rest = lines.take("a section").partition(" ")
+        keyword, rest = lines.take_keyword("a section")
         section = _SECTIONS.get(keyword.upper())
         if section is None:
             raise lines.malformed(f"a section, one of {', '.join(_SECTIONS)}")
-        section(lines, parts, rest.strip())
+        section(lines, parts, rest)
         parts.seen.add(keyword.upper())
     for keyword in ("*VERTICES", "*ELEMENTS"):
         if keyword not in parts.seen:
@@ -73,9 +79,10 @@ def write_veg(path: str | PathLike[str], points: npt.NDArray[np.floating[Any]], 
     for material in mesh.materials:
         numbers = ", ".join(map(repr, material.parameters))
         text += ["", f"*MATERIAL {material.name}", f"{material.model}, {numbers}"]
+    for name, rows in {region.name: region.rows + 1 for region in mesh.regions if region.name != _ALL}.items():
+        text += ["", f"*SET {name}"]
+        text += [", ".join(map(str, rows[i : i + _SET_LINE].tolist())) for i in range(0, len(rows), _SET_LINE)]
     for region in mesh.regions:
-        if region.name != _ALL:
-            text += ["", f"*SET {region.name}", ", ".join(map(str, (region.rows + 1).tolist()))]
         text += ["", "*REGION", f"{region.name}, {region.material.name}"]
     write_text(path, text)
 
@@ -113,18 +120,17 @@ def _take_elements(lines: Lines, parts: _Parts, rest: str) -> None:
 
 
 def _take_material(lines: Lines, parts: _Parts, rest: str) -> None:
+    _new_name(lines, "material", rest, parts.materials)
     expected = "a model and its numbers, such as ENU, 1000, 1e7, 0.4"
     model, *numbers = (word.strip() for word in lines.take(expected).split(","))
-    try:
-        parameters = tuple(float(number) for number in numbers)
-    except ValueError:
-        raise lines.malformed(expected) from None
-    if not rest or not model.isidentifier():
+    parameters = tuple(number for number in map(as_float, numbers) if number is not None and isfinite(number))
+    if not rest or not model.isidentifier() or len(parameters) < len(numbers):
         raise lines.malformed(expected)
     parts.materials[rest] = Material(rest, model, parameters)
 
 
 def _take_set(lines: Lines, parts: _Parts, rest: str) -> None:
+    _new_name(lines, "set", rest, (_ALL, *parts.sets))
     rows: list[int] = []
     while not lines.at_end and not lines.peek.startswith("*"):
         numbers = lines.take_counts(0, "element numbers", lines.take("element numbers").replace(",", " "))
@@ -159,6 +165,11 @@ _SECTIONS = {
 def _once(lines: Lines, parts: _Parts, keyword: str) -> None:
     if keyword in parts.seen:
         raise lines.malformed(f"one section {keyword} in the file")
+
+
+def _new_name(lines: Lines, what: str, name: str, taken: Container[str]) -> None:
+    if name in taken:
+        raise lines.malformed(f"the name of a {what} that the file does not have yet, {name!r} it has")
 
 
 def _check_numbers(lines: Lines, numbers: Floats | Integers, base: int, first: int) -> None:
