@@ -55,10 +55,10 @@ def test_overlapping_parts_and_cavities_count_by_winding():
 
 def test_arrays_stand_for_a_surface():
     points, triangles = surface_arrays(TriMesh.icosphere(1))
-    assert TetMesh.from_surface(points, triangles, resolution=5).tetrahedra.size > 0
+    assert TetMesh.from_surface(points, triangles, resolution=np.int16(5)).tetrahedra.size > 0
 
 
-@pytest.mark.parametrize("resolution", [0, -3, 2.5, True])
+@pytest.mark.parametrize("resolution", [0, -3, 2.5, 3.0, True, np.True_, "8", float("nan")])
 def test_resolution_is_a_positive_integer(resolution):
     with pytest.raises(ValueError, match="resolution"):
         TetMesh.from_surface(TriMesh.icosphere(0), resolution=resolution)
@@ -109,6 +109,12 @@ def test_points_outside_get_a_tetrahedron_nearby():
     rows, _ = solid.embed(1.2 * directions)
     centres = solid.vertices.pos.to_numpy()[solid.tetrahedra.v.to_numpy()[rows]].mean(axis=1)
     assert np.linalg.norm(centres - directions, axis=1).max() < 0.5
+
+
+def test_points_far_away_get_a_tetrahedron_on_their_side():
+    rows, _ = TetMesh.box(40, 1, 1, (40, 1, 1)).embed([[-1e30, 0.5, 0.5], [1e30, 0.5, 0.5]])
+    near, far = rows // 6
+    assert near < 5 and far > 35
 
 
 def test_no_points_and_bad_points():

@@ -31,8 +31,8 @@ class _Bins:
 
     def of(self, points: Floats) -> Integers:
         """The bin that holds each point, or the nearest bin that holds tetrahedra."""
-        index = np.floor((points - self.origin) / self.spacing).astype(np.int64)
-        index = np.clip(index, 0, self.shape - 1)
+        # Cut off before they become integers, which do not hold all of them.
+        index = np.clip(np.floor((points - self.origin) / self.spacing), 0, self.shape - 1).astype(np.int64)
         return self.nearest[np.ravel_multi_index(tuple(index.T), tuple(self.shape.tolist()))]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from itertools import permutations
 from typing import Any
 
@@ -40,7 +41,7 @@ def icosahedron() -> tuple[Floats, Integers]:
 
 def icosphere(subdivisions: int, radius: float) -> tuple[Floats, Integers]:
     """A sphere about the origin: the icosahedron with each triangle split in four, ``subdivisions`` times."""
-    _require("subdivisions", subdivisions, 0)
+    subdivisions = require_count("subdivisions", subdivisions, 0)
     points, triangles = icosahedron()
     for _ in range(subdivisions):
         low, high, of_pair = undirected_edges(triangles, len(points))
@@ -55,8 +56,8 @@ def icosphere(subdivisions: int, radius: float) -> tuple[Floats, Integers]:
 
 def torus(major: float, minor: float, n_major: int, n_minor: int) -> tuple[Floats, Integers]:
     """A torus about the z axis: a tube of the radius ``minor`` along a circle of the radius ``major``."""
-    _require("n_major", n_major, 3)
-    _require("n_minor", n_minor, 3)
+    n_major = require_count("n_major", n_major, 3)
+    n_minor = require_count("n_minor", n_minor, 3)
     i, j = np.divmod(np.arange(n_major * n_minor), n_minor)
     u, v = 2 * np.pi * i / n_major, 2 * np.pi * j / n_minor
     r = major + minor * np.cos(v)
@@ -68,8 +69,8 @@ def torus(major: float, minor: float, n_major: int, n_minor: int) -> tuple[Float
 
 def grid(nx: int, ny: int, size: tuple[float, float]) -> tuple[Floats, Integers]:
     """A rectangle in the plane z = 0 with a corner at the origin, in nx x ny squares of two triangles each."""
-    _require("nx", nx, 1)
-    _require("ny", ny, 1)
+    nx = require_count("nx", nx, 1)
+    ny = require_count("ny", ny, 1)
     x, y = np.meshgrid(np.linspace(0, size[0], nx + 1), np.linspace(0, size[1], ny + 1), indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     i, j = np.divmod(np.arange(nx * ny), ny)
@@ -79,8 +80,8 @@ def grid(nx: int, ny: int, size: tuple[float, float]) -> tuple[Floats, Integers]
 
 def box(shape: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[Floats, Integers]:
     """A box with a corner at the origin, in ``shape`` cubes of six tetrahedra each."""
-    for name, n in zip(("nx", "ny", "nz"), shape, strict=True):
-        _require(name, n, 1)
+    nx, ny, nz = (require_count(name, n, 1) for name, n in zip(("nx", "ny", "nz"), shape, strict=True))
+    shape = (nx, ny, nz)
     axes = [np.linspace(0, extent, n + 1) for extent, n in zip(size, shape, strict=True)]
     points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
     cubes = np.stack([axis.ravel() for axis in np.meshgrid(*map(np.arange, shape), indexing="ij")], axis=1)
@@ -103,10 +104,9 @@ def ball(resolution: int, radius: float) -> tuple[Floats, Integers]:
 
     The points lie on ``resolution`` concentric spheres, so that no element is much flatter than the others.
     """
-    _require("resolution", resolution, 1)
+    n = require_count("resolution", resolution, 1)
     corners, triangles = icosahedron()
     # Walks 0 <= z <= y <= x <= n of a Kuhn lattice fill a simplex; the weights of its four corners follow.
-    n = resolution
     cubes = np.stack([axis.ravel() for axis in np.indices((n, n, n))], axis=1)
     lattice = np.stack([axis.ravel() for axis in np.indices((n + 1, n + 1, n + 1))], axis=1)
     split = split_cubes(cubes, (n, n, n))
@@ -142,6 +142,16 @@ def _split_quads(a: Integers, b: Integers, c: Integers, d: Integers) -> Integers
     return np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
 
 
-def _require(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+def require_count(name: str, value: Any, least: int) -> int:
+    """``value`` as Python's integer.
+
+    Raises:
+        ValueError: it is no integer, or less than ``least``.
+    """
+    try:
+        count = operator.index(value)
+    except TypeError:
+        count = least - 1
+    if count < least or isinstance(value, bool):
         raise ValueError(f"{name} should be an integer >= {least}, not {value!r}")
+    return count

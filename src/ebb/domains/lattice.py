@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ebb.domains.generators import split_cubes
+from ebb.domains.generators import require_count, split_cubes
 from ebb.domains.io.data import Floats, Integers, MeshData
 from ebb.domains.io.errors import OpenSurface
 from ebb.domains.topology import rank_in, used_points
@@ -48,10 +48,9 @@ def fill_surface(points: Floats, triangles: Integers, resolution: int) -> MeshDa
         MeshFormatError: the surface is not closed (E711).
         ValueError: the resolution is no integer >= 1, or the surface has no triangles or no extent.
     """
-    if isinstance(resolution, bool) or resolution != int(resolution) or resolution < 1:
-        raise ValueError(f"resolution should be an integer >= 1, not {resolution!r}")
+    resolution = require_count("resolution", resolution, 1)
     check_closed(triangles, len(points))
-    lattice = lattice_around(points[used_points(triangles)[0]], int(resolution))
+    lattice = lattice_around(points[used_points(triangles)[0]], resolution)
     corners = inside(points, triangles, lattice.samples(0.0))
     keep = inside(points, triangles, lattice.samples(0.5))
     nx, ny, nz = lattice.shape
