@@ -140,9 +140,7 @@ def evaluate(expr: HostExpr, parameters: tuple[Any, ...]) -> Any:
             except ValueError:
                 raise NameError(f"name {name!r} has no value yet") from None
         case HostGlobal(name, namespace):
-            if name in namespace:
-                return namespace[name]
-            raise NameError(f"name {name!r} is not defined")
+            return _global(name, namespace)
         case HostParameter(_, position):
             return parameters[position]
         case HostAttribute(base, name):
@@ -153,6 +151,12 @@ def evaluate(expr: HostExpr, parameters: tuple[Any, ...]) -> Any:
             return _operate(expr, parameters)
         case HostAttempt(operation, otherwise):
             return _attempt(operation, otherwise, parameters)
+
+
+def _global(name: str, namespace: Mapping[str, Any]) -> Any:
+    if name in namespace:
+        return namespace[name]
+    raise NameError(f"name {name!r} is not defined")
 
 
 def _operate(operation: HostOperation, parameters: tuple[Any, ...]) -> Any:
