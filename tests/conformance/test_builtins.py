@@ -39,6 +39,12 @@ REAL = {
     "math.fabs(-r.x)": X,
     "math.hypot(r.x, 2 * r.x)": X * math.sqrt(5),
     "math.pi * r.x + math.e": math.pi * X + math.e,
+    "math.log(r.x, 10)": np.log10(X),
+    "math.log(8, 2) * math.log(2, 2 + r.x)": 3 * np.log(2) / np.log(2 + X),
+    "math.erf(r.x)": [math.erf(x) for x in X],
+    "math.erfc(5 * r.x)": [math.erfc(5 * x) for x in X],
+    "math.gamma(r.x - 0.2)": [math.gamma(x - 0.2) for x in X],
+    "math.lgamma(30 * r.x)": [math.lgamma(30 * x) for x in X],
     "math.radians(180 * r.x)": math.pi * X,
     "sqrt(r.x)": np.sqrt(X),
 }
@@ -330,3 +336,20 @@ def test_arguments_that_do_not_fit(call):
     rows.new_field("k", rows, init=[0])
     rows.new_field("keys", ebb.vector(rows, 3), init=[[0, 0, 0]])
     rejects(ebb.KernelTypeError, "E2", lambda: kernel_of(f"y = {call}", rows=rows)(rows))
+
+
+SPECIAL = [0.0, -0.0, -1.0, -2.5, 172.5, 1e308, np.inf, -np.inf, np.nan]
+
+
+@pytest.mark.parametrize(
+    ("function", "expected"),
+    [
+        ("gamma", [np.inf, -np.inf, np.nan, math.gamma(-2.5), np.inf, np.inf, np.inf, np.nan, np.nan]),
+        ("lgamma", [np.inf, np.inf, np.inf, math.lgamma(-2.5), math.lgamma(172.5), np.inf, np.inf, np.inf, np.nan]),
+        ("erf", [0.0, -0.0, math.erf(-1), -0.9995930479825550, 1.0, 1.0, 1.0, -1.0, np.nan]),
+        ("erfc", [1.0, 1.0, math.erfc(-1), math.erfc(-2.5), 0.0, 0.0, 0.0, 2.0, np.nan]),
+    ],
+)
+def test_functions_of_c_at_poles_and_infinities(backend, function, expected):
+    out = evaluate(f"math.{function}(r.x)", ebb.float64, {"math": math}, x=(ebb.float64, SPECIAL))
+    np.testing.assert_allclose(out, expected, rtol=1e-14)

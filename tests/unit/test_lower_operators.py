@@ -124,6 +124,7 @@ REAL_FUNCTIONS = [
     "sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "sin", "cos", "tan", "asin", "acos",
     "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "fabs", "floor", "ceil", "trunc", "degrees", "radians",
     "abs", "sign", "round", "math.floor", "math.ceil", "math.trunc", "isnan", "isinf", "isfinite",
+    "erf", "erfc", "gamma", "lgamma",
 ]  # fmt: skip
 BINARY_FUNCTIONS = ["pow", "atan2", "hypot", "fmod", "copysign"]
 

@@ -249,6 +249,7 @@ Operation: TypeAlias = Unary | Binary | Compare | Select | Convert | Math | Load
 _UNARY_FUNCTIONS = (
     "abs", "sqrt", "cbrt", "exp", "log", "log2", "log10", "exp2", "expm1", "log1p", "sin", "cos", "tan", "asin",
     "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "floor", "ceil", "trunc", "round",
+    "erf", "erfc", "gamma", "lgamma",
 )  # fmt: skip
 _BINARY_FUNCTIONS = ("pow", "atan2", "fmod", "copysign", "hypot", "ipow")
 

@@ -13,7 +13,7 @@ _MATH = (
     "sqrt", "cbrt", "exp", "exp2", "exp10", "expm1", "log", "log2", "log10", "log1p", "pow", "sin", "cos",
     "sincos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "hypot",
     "fmod", "floor", "ceil", "trunc", "rint", "round", "roundeven", "nearbyint", "fma", "fmin", "fmax", "ldexp",
-    "frexp", "copysign", "fabs",
+    "frexp", "copysign", "fabs", "erf", "erfc", "tgamma", "lgamma",
 )  # fmt: skip
 _MEMORY = ("memcpy", "memmove", "memset")
 

@@ -167,6 +167,25 @@ def _inverse(m: Any) -> Any:
     return np.array(small_matrix.adjugate(m), m.dtype) / small_matrix.determinant(m)
 
 
+def _by_math(function: Callable[[float], float], elsewhere: Callable[[float], float]) -> Callable[[Any], Any]:
+    """A function of ``math`` by component; ``elsewhere`` is what it is, as in C, where Python raises."""
+
+    def of_number(x: float) -> float:
+        try:
+            return function(x)
+        except (ValueError, OverflowError):
+            return elsewhere(x)
+
+    def meaning(x: Any) -> Any:
+        return np.vectorize(of_number, otypes=[x.dtype])(x)[()]
+
+    return meaning
+
+
+def _gamma_at_pole(x: float) -> float:
+    return math.nan if x < 0 else math.copysign(math.inf, x)
+
+
 def _to_int64(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def rounded(x: Any) -> Any:
         if x.dtype.kind != "f":
@@ -289,6 +308,10 @@ fmod = _real("fmod", np.fmod, "The remainder with the sign of x, as in C.", 2)
 copysign = _real("copysign", np.copysign, "The magnitude of x with the sign of y.", 2)
 degrees = _real("degrees", np.degrees, "Radians to degrees.")
 radians = _real("radians", np.radians, "Degrees to radians.")
+erf = _real("erf", _by_math(math.erf, math.erf), "The error function.")
+erfc = _real("erfc", _by_math(math.erfc, math.erfc), "1 - erf(x), accurate where that is near 0.")
+gamma = _real("gamma", _by_math(math.gamma, _gamma_at_pole), "The gamma function; NaN at negative integers.")
+lgamma = _real("lgamma", _by_math(math.lgamma, lambda x: math.inf), "The logarithm of the magnitude of gamma(x).")
 floor = _real("floor", np.floor, "The largest whole number <= x, as a float.")
 ceil = _real("ceil", np.ceil, "The smallest whole number >= x, as a float.")
 trunc = _real("trunc", np.trunc, "x without its fraction, as a float.")
@@ -328,7 +351,8 @@ BUILTINS: Mapping[str, Builtin] = {
     for row in (
         abs_, min_, max_, round_, clamp, sign, select, sqrt, cbrt, exp, exp2, expm1, log, log2, log10, log1p, pow_,
         sin, cos, tan, asin, acos, atan, atan2, sinh, cosh, tanh, asinh, acosh, atanh, hypot, fabs, fmod, copysign,
-        degrees, radians, floor, ceil, trunc, math_floor, math_ceil, math_trunc, isnan, isinf, isfinite, dot, cross,
+        degrees, radians, erf, erfc, gamma, lgamma, floor, ceil, trunc,
+        math_floor, math_ceil, math_trunc, isnan, isinf, isfinite, dot, cross,
         length, normalize, outer, transpose, trace, det, inverse, matmul, all_, any_, identity, zeros,
     )
 }  # fmt: skip
@@ -347,7 +371,7 @@ _PYTHON: Mapping[Any, Builtin] = {
     for name in (
         "sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "sin", "cos", "tan", "asin",
         "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "hypot", "fabs", "fmod",
-        "copysign", "degrees", "radians", "isnan", "isinf", "isfinite",
+        "copysign", "degrees", "radians", "erf", "erfc", "gamma", "lgamma", "isnan", "isinf", "isfinite",
     )
 }  # fmt: skip
 

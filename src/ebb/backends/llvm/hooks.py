@@ -9,7 +9,7 @@ _INTRINSICS = (
     "sqrt", "exp", "exp2", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
     "tanh", "floor", "ceil", "trunc", "pow", "atan2", "copysign",
 )  # fmt: skip
-_LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot")
+_LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot", "erf", "erfc", "lgamma")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Hooks:
 CPU = Hooks(
     name="cpu",
     math={name: f"llvm.{name}.{{type}}" for name in _INTRINSICS}
-    | {"abs": "llvm.fabs.{type}", "round": "llvm.rint.{type}"}
+    | {"abs": "llvm.fabs.{type}", "round": "llvm.rint.{type}", "gamma": "tgamma{suffix}"}
     | {name: f"{name}{{suffix}}" for name in _LIBM},
     attributes='nounwind "prefer-vector-width"="512" "no-trapping-math"="true"',
 )

@@ -219,6 +219,9 @@ def builtin(ctx: Context, row: Builtin, function: Any, name: str, given: list[Va
     """A call of a builtin: of numbers that Python knows by Python, else a ``kir.Call`` with converted arguments."""
     if row.static is not None:
         return _static_builtin(ctx, row, name, given, span)
+    if function is math.log and len(given) == 2:
+        of_number, of_base = (builtin(ctx, row, function, name, [value], span) for value in given)
+        return binary(ctx, "/", of_number, of_base, span)
     found = [operand(ctx, value) for value in given]
     known: list[Operand] = [value for value in found if value is not None]
     if len(known) < len(given) or any(shape_of(ctx, value) is None for value in known):

@@ -218,7 +218,7 @@ def _combined(op: str) -> Lowering:
 _FUNCTIONS = (
     "sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "sin", "cos", "tan", "asin",
     "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "hypot", "fmod", "copysign",
-    "floor", "ceil", "trunc",
+    "floor", "ceil", "trunc", "erf", "erfc", "gamma", "lgamma",
 )  # fmt: skip
 
 LOWERING: Mapping[str, Lowering] = {name: _function(name) for name in _FUNCTIONS} | {
