@@ -153,14 +153,19 @@ class Kernel:
             raise trimmed(error) from error.__cause__
 
     def explain(self, rows: Relation | Subset, /, *parameters: Any, **named: Any) -> str:
-        """How the kernel will run on ``rows``: phases, reductions, layout, and bytes and operations a row.
+        """Prints how the kernel will run on ``rows``: phases, reductions, layout, and bytes and operations a row.
+
+        Returns:
+            What it printed, for programs.
 
         Raises:
             EbbError: as ``check``.
         """
         launch = self._find_launch(rows, self._bind(rows, parameters, named))
         checked = launch.specialisation.checked
-        return explain(checked.kernel, checked.phases)
+        text = explain(checked.kernel, checked.phases)
+        print(text)
+        return text
 
     def inspect(self, rows: Relation | Subset, stage: str, /, *parameters: Any, **named: Any) -> str:
         """The kernel at one stage of its compilation for the current backend.
