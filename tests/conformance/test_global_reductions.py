@@ -66,6 +66,21 @@ def test_vector_and_matrix_globals(backend):
     np.testing.assert_array_equal(low.value, x.min(axis=0))
 
 
+def test_extrema_of_a_component_with_and_without_value(backend):
+    rows = ebb.Relation("rows", size=5)
+    rows.new_field("x", ebb.float64, init=[3, -1, 4, -1, 5])
+    low = ebb.Global(ebb.vec3d, 0.0)
+
+    @ebb.kernel
+    def measure(r: rows):
+        low.value[0] = min(low[0], r.x)
+        low.y = min(-r.x, low.value.y)
+        low[2] = min(low.value[2], 2 * r.x)
+
+    measure(rows)
+    np.testing.assert_array_equal(low.value, [-1, -5, -2])
+
+
 def test_bool_globals(backend):
     rows = ebb.Relation("rows", size=65)
     rows.new_field("x", ebb.int32, init=np.arange(65))

@@ -76,5 +76,13 @@ def _same(a: ast.expr, b: ast.expr) -> bool:
 
 
 def _bare(node: ast.expr) -> ast.expr:
-    """``E`` for ``E.value``."""
-    return node.value if isinstance(node, ast.Attribute) and node.attr == "value" else node
+    """``E`` for ``E.value``, also in a component: ``E[0]`` for ``E.value[0]``."""
+    match node:
+        case ast.Attribute(value=base, attr="value"):
+            return _bare(base)
+        case ast.Attribute(value=base, attr=name):
+            return ast.Attribute(_bare(base), name, ast.Load())
+        case ast.Subscript(value=base, slice=index):
+            return ast.Subscript(_bare(base), index, ast.Load())
+        case _:
+            return node
