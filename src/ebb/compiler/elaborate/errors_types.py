@@ -87,7 +87,8 @@ class TypeChanged(KernelDiagnostic):
 
     @property
     def title(self) -> str:
-        return f"'{self.name}' is {self.first!r} since its first assignment, and a {self.now!r} does not become one"
+        now = f"a value of type {self.now!r}"
+        return f"'{self.name}' is {self.first!r} since its first assignment, and {now} does not become one"
 
     @property
     def label(self) -> str:
