@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
 from ebb.errors import RelationError
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
+from ebb.runtime.buffer import Buffer
 from ebb.types.types import float64, int64, matrix, vector
 
 TAILS = [2, 0, 1, 0, 3, 2]
@@ -245,6 +248,46 @@ def test_permute_takes_permutations(mesh: tuple[Relation, Relation]) -> None:
         with pytest.raises(ValueError, match="permutation"):
             vertices.permute(order)
     assert vertices.storage.order is None
+
+
+@pytest.mark.parametrize("step", ["permuted", "mapped"])
+@pytest.mark.parametrize("works", range(3))
+def test_a_permutation_that_fails_leaves_all_as_it_was(monkeypatch, step: str, works: int) -> None:
+    vertices, edges = Relation("vertices", size=3), Relation("edges", size=4)
+    fields = [
+        vertices.new_field("mass", float64, init=[1, 2, 3]),
+        vertices.new_field("left", vertices, init=[2, 0, 1]),
+        vertices.new_field("right", vertices, init=[1, 2, 0]),
+        edges.new_field("tail", vertices, init=[0, 1, 1, 2]),
+    ]
+    before = [field.data.tolist() for field in fields]
+    usual, count = getattr(Buffer, step), itertools.count()
+
+    def without_memory(self, table):
+        if next(count) == works:
+            raise MemoryError
+        return usual(self, table)
+
+    monkeypatch.setattr(Buffer, step, without_memory)
+    with pytest.raises(MemoryError):
+        vertices.permute([2, 0, 1])
+    assert [field.data.tolist() for field in fields] == before
+    assert (vertices.storage.order, vertices.storage.version) == (None, 0)
+
+
+def test_a_grouping_that_is_interrupted_is_none(monkeypatch, mesh: tuple[Relation, Relation]) -> None:
+    _, edges = mesh
+
+    def interrupted(self, table):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Buffer, "permuted", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        edges.group_by("tail")
+    monkeypatch.undo()
+    assert edges.tail.grouping is None and edges.storage.primary is None
+    edges.group_by("tail")
+    assert groups(edges.tail) == expected(TAILS, 4)
 
 
 @pytest.mark.parametrize("field", ["length", "ends"])

@@ -11,7 +11,6 @@ import numpy as np
 from ebb.errors import RelationError
 from ebb.relations.errors import ForeignField, KeysNotWritable, TypeMismatch, ViewOpen
 from ebb.relations.loading import Place, called_by_row, converted, target_of
-from ebb.relations.storage import through_table
 from ebb.runtime.buffer import Array, Buffer
 from ebb.types.types import Type
 
@@ -174,13 +173,9 @@ class Field:
         if self._open_views:
             raise RelationError(ViewOpen(self.path))
 
-    def permute(self, order: Array) -> None:
-        """Moves the row at position ``order[p]`` to ``p``; ``Relation.permute`` calls this."""
-        self._buffer = self._buffer.permuted(order)
-
-    def retarget(self, moved: Array) -> None:
-        """Rewrites the keys after the row at position ``p`` of the target has moved to ``moved[p]``."""
-        self.data[...] = through_table(moved, self.data)
+    def replace(self, buffer: Buffer) -> None:
+        """Takes ``buffer``: the same values, for rows that lie elsewhere. ``Relation.permute`` calls this."""
+        self._buffer = buffer
 
     def swap_with(self, other: Field) -> None:
         """Exchanges the values with those of a field of the same relation and type, in constant time."""

@@ -229,7 +229,7 @@ class Relation:
     def permute(self, order: npt.ArrayLike) -> None:
         """Stores the row that is now at position ``order[p]`` at position ``p``, in every field, and follows with keys.
 
-        Row numbers do not change: no program can tell, but by ``Field.view``.
+        Row numbers do not change: no program can tell, but by ``Field.view``. If it fails, all is as it was.
 
         Raises:
             ValueError: ``order`` is no permutation of the rows, or the relation is a grid.
@@ -243,11 +243,12 @@ class Relation:
         for field in self._fields.values():
             field.check_no_view()
         moved = inverse(moves)
-        for field in self._fields.values():
-            field.permute(moves)
+        buffers = {field: field.buffer.permuted(moves) for field in self._fields.values()}
         for field in self.storage.referrers:
-            field.retarget(moved)
+            buffers[field] = buffers.get(field, field.buffer).mapped(moved)
         self.storage.reorder(moves, moved)
+        for field, buffer in buffers.items():
+            field.replace(buffer)
 
     # Python's own
 
@@ -285,7 +286,7 @@ class Relation:
             self.storage.primary = grouping
         try:
             grouping.refresh()
-        except RelationError:
+        except BaseException:  # an open view, memory, an interrupt
             field.grouping = None
             self.storage.primary = primary
             raise

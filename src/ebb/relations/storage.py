@@ -53,8 +53,9 @@ class Storage:
 
     def reorder(self, order: Rows, moved: Rows) -> None:
         """Records that the row at position ``order[p]`` has moved to ``p``; ``moved`` is the inverse of ``order``."""
-        self.order = order.copy() if self.order is None else self.order[order]
+        identities = order.copy() if self.order is None else self.order[order]
         self.rank = moved if self.rank is None else moved[self.rank]
+        self.order = identities
         self.version += 1
 
 

@@ -38,6 +38,13 @@ class Buffer:
         np.take(self.host, order, axis=0, out=result.host, mode="clip")
         return result
 
+    def mapped(self, table: npt.NDArray[np.int64]) -> Buffer:
+        """A new buffer with ``table[k]`` for every key ``k`` of this one; unset keys, -1, stay -1."""
+        result = Buffer(self.host.shape, self.host.dtype)
+        # Wrapped around, the index -1 is that of the last entry.
+        np.take(np.append(table, -1).astype(self.host.dtype), self.host, out=result.host, mode="wrap")
+        return result
+
 
 def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
     """A zeroed C-contiguous array whose first byte is aligned to ``ALIGNMENT``."""
