@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import expressions, statements
+from ebb.compiler.kir_walk import expressions, queried_fields
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
 from ebb.types.types import KeyType, Type
 
 _Source = TypeVar("_Source", Field, Relation)
-
-REACH = 8
-"""Offsets up to this wrap by one addition on a grid whose periodic extents are at least as large."""
 
 State: TypeAlias = tuple[bool, ...]
 """The facts of one moment, in the order of their sources: hashable, and cheap to compare."""
@@ -29,15 +26,11 @@ class Facts:
         unset: key fields that may hold unset keys.
         permuted: relations whose rows are not stored in the order of their identities.
         indirect: grouped key fields whose groups are lists of positions.
-        empty: grids without cells.
-        narrow: periodic grids with an extent below ``REACH``.
     """
 
     unset: frozenset[Field]
     permuted: frozenset[Relation]
     indirect: frozenset[Field]
-    empty: frozenset[Relation]
-    narrow: frozenset[Relation]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +40,6 @@ class FactSources:
     keys: tuple[Field, ...]
     numbered: tuple[Relation, ...]
     queried: tuple[Field, ...]
-    grids: tuple[Relation, ...]
 
     def state(self) -> State:
         """The facts now."""
@@ -55,8 +47,6 @@ class FactSources:
             *[field.maybe_unset for field in self.keys],
             *[relation.storage.order is not None for relation in self.numbered],
             *[field.grouping is not None and field.grouping.rows is not None for field in self.queried],
-            *[relation.size == 0 for relation in self.grids],
-            *[_is_narrow(relation) for relation in self.grids],
         )
 
     def facts(self, state: State) -> Facts:
@@ -70,8 +60,6 @@ class FactSources:
             unset=holding(self.keys),
             permuted=holding(self.numbered),
             indirect=holding(self.queried),
-            empty=holding(self.grids),
-            narrow=holding(self.grids),
         )
 
 
@@ -83,8 +71,7 @@ def sources_of(kernel: kir.Kernel) -> FactSources:
     return FactSources(
         keys=_once(e.field for e in found if isinstance(e, kir.ReadField) and isinstance(e.field.type.scalar, KeyType)),
         numbered=_once((*drawn, *named)),
-        queried=_once(_queried(kernel)),
-        grids=_once(target(e.type) for e in found if isinstance(e, kir.Affine)),
+        queried=queried_fields(kernel),
     )
 
 
@@ -98,16 +85,6 @@ def target(key: Type) -> Relation:
     """The relation that a key type refers to."""
     assert isinstance(key.scalar, KeyType) and isinstance(key.scalar.target, Relation)
     return key.scalar.target
-
-
-def _queried(kernel: kir.Kernel) -> Iterator[Field]:
-    yield from (expr.index for expr in expressions(kernel.body) if isinstance(expr, kir.QuerySize))
-    yield from (stmt.index for stmt in statements(kernel.body) if isinstance(stmt, kir.ForQuery))
-
-
-def _is_narrow(relation: Relation) -> bool:
-    pairs = zip(relation.shape, relation.periodic, strict=True)
-    return any(wraps and extent < REACH for extent, wraps in pairs)
 
 
 def _once(sources: Iterable[_Source]) -> tuple[_Source, ...]:

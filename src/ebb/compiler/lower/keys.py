@@ -9,7 +9,7 @@ from math import lcm
 from ebb.compiler import kir, lir
 from ebb.compiler.lower.builder import Values, index
 from ebb.compiler.lower.context import Context, Moved
-from ebb.compiler.lower.facts import REACH, target
+from ebb.compiler.lower.facts import target
 from ebb.compiler.lower.sites import AffineSite, ComponentSite, KeySite
 from ebb.diagnostics.span import Span
 from ebb.relations.field import Field
@@ -96,7 +96,7 @@ def _offsets(node: kir.Affine, source: Relation, grid: Relation) -> tuple[int, .
 
 def _stays_inside(ctx: Context, node: kir.Affine, grid: Relation, offsets: tuple[int, ...]) -> bool:
     """Whether the launch has checked the access and no dimension that it moves in wraps or clamps."""
-    if node not in ctx.unchecked or node.edge is kir.Edge.CLAMP or grid in ctx.facts.empty:
+    if node not in ctx.unchecked or node.edge is kir.Edge.CLAMP or not grid.size:
         return False
     return not any(offset and wraps for offset, wraps in zip(offsets, grid.periodic, strict=True))
 
@@ -134,7 +134,7 @@ def _settled(
     if offset == 0:
         return asked
     if grid.periodic[dimension]:
-        if offset is None or abs(offset) > REACH or grid in ctx.facts.narrow:
+        if offset is None or abs(offset) > grid.shape[dimension]:
             return b.binary("%", asked, extent)
         if offset > 0:
             return b.select(b.compare(">=", asked, extent), b.binary("-", asked, extent), asked)
@@ -149,7 +149,7 @@ def _check(
     ctx: Context, node: kir.Affine, grid: Relation, asked: Values, settled: Values, offsets: tuple[int, ...] | None
 ) -> None:
     """Fails where the row does not exist; in a grid without rows that is always so."""
-    if grid in ctx.facts.empty:
+    if not grid.size:
         checked = range(grid.ndim)
     elif node in ctx.unchecked or node.edge is kir.Edge.CLAMP:
         checked = range(0)
