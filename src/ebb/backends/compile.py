@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import sys
 import time
 from functools import cache
 from pathlib import Path
@@ -15,6 +13,7 @@ from ebb.backends.llvm.emit import emit
 from ebb.backends.llvm.optimize import optimize
 from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify
+from ebb.compiler.pipeline import dump
 from ebb.errors import BackendError
 from ebb.runtime import cpu
 from ebb.runtime.errors import VariablesTooLarge
@@ -34,13 +33,13 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
     check_private_bytes(program.name, program.private_bytes)
     lir_verify.verify(program)
     text = lir_print.text(program)
-    _dump(program.name, "lower", text)
+    dump(program.name, "lower", lambda: text)
     key = key_of(text, target.fingerprint, _emitter_version())
     image = cache.get(key)
     if image is None:
         start = time.perf_counter()
         module = optimize(emit(program, target.hooks), target)
-        _dump(program.name, "optimize", module)
+        dump(program.name, "optimize", lambda: str(module))
         image = bytes(target.machine.emit_object(module))
         _log.debug("%s: compiling took %.2f ms", program.name, 1e3 * (time.perf_counter() - start))
         cache.put(key, image)
@@ -70,10 +69,3 @@ def _emitter_version() -> str:
     sources = sorted(Path(next(iter(emitter.__path__))).glob("*.py"))
     sources += [Path(str(module.__file__)) for module in (lir, cpu)]
     return key_of(*(path.read_text(encoding="utf-8") for path in sources))
-
-
-def _dump(name: str, stage: str, text: object) -> None:
-    """Prints a stage where ``EBB_DUMP`` asks for it, as ``ebb.compiler.pipeline`` does."""
-    asked = os.environ.get("EBB_DUMP", "")
-    if asked == "all" or name in asked.split(","):
-        print(f"# {name} after {stage}\n{text}\n", file=sys.stderr)

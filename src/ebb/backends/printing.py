@@ -16,7 +16,6 @@ MOST_LINES = 1 << 16
 """The lines that one launch keeps; it says how many more there were."""
 
 _MOST_WORDS = 1 << 20
-_COUNTER, _CAPACITY, _RECORDS = range(3)
 
 
 class PrintBuffer:
@@ -27,18 +26,18 @@ class PrintBuffer:
         self._prints: Sequence[kir.Print] = program.prints
         self._width = lir.PRINT_HEADER + program.print_words
         self._lines = min(MOST_LINES, _MOST_WORDS // self._width)
-        self._words = aligned_zeros((_RECORDS + self._lines * self._width,), np.dtype(np.int64))
-        self._words[_CAPACITY] = self._lines
+        self._words = aligned_zeros((lir.PRINT_RECORDS + self._lines * self._width,), np.dtype(np.int64))
+        self._words[lir.PRINT_CAPACITY] = self._lines
         self.address = self._words.ctypes.data
 
     def flush(self) -> None:
         """Prints the lines of the last launch in the order of rows, and says how many were too many to keep."""
-        count = int(self._words[_COUNTER])
+        count = int(self._words[lir.PRINT_COUNTER])
         if not count:
             return
         kept = min(count, self._lines)
-        records = self._words[_RECORDS : _RECORDS + kept * self._width].reshape(kept, self._width)
-        self._words[_COUNTER] = 0  # before any line is written, which may fail or launch the kernel again
+        records = self._words[lir.PRINT_RECORDS : lir.PRINT_RECORDS + kept * self._width].reshape(kept, self._width)
+        self._words[lir.PRINT_COUNTER] = 0  # before any line is written, which may fail or launch the kernel again
         for record in records[np.argsort(records[:, 1], kind="stable")]:
             print(self._line(self._prints[int(record[0])], record[lir.PRINT_HEADER :]))
         if count > kept:

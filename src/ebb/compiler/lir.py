@@ -75,7 +75,8 @@ class LaunchPositions:
 
 @dataclass(frozen=True, slots=True)
 class PrintRecords:
-    """Records of ``PRINT_HEADER + Program.print_words`` int64 words, behind a counter that takes one word."""
+    """Records of ``PRINT_HEADER + Program.print_words`` int64 words from ``PRINT_RECORDS`` on, behind how many prints
+    there were (``PRINT_COUNTER``) and how many records there is room for (``PRINT_CAPACITY``)."""
 
 
 SlotBinding: TypeAlias = (
@@ -411,6 +412,9 @@ class Precision(Enum):
 
 PAYLOAD_WORDS = 8
 """The most values that a ``Fail`` carries."""
+
+PRINT_COUNTER, PRINT_CAPACITY, PRINT_RECORDS = range(3)
+"""Where the words of ``PrintRecords`` lie."""
 
 PRINT_HEADER = 2
 """The words of a print record before its values: the number of the print and the row's position."""

@@ -13,6 +13,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeAlias
 
 from ebb.compiler import kir, kir_print
@@ -36,7 +37,7 @@ def run_passes(kernel: kir.Kernel, passes: Sequence[Pass] = PASSES) -> kir.Kerne
         CompilerBug: the elaborator or a pass made a kernel that is none.
     """
     _verify(kernel, "elaborate")
-    _dump(kernel, "elaborate")
+    dump(kernel.name, "elaborate", partial(kir_print.text, kernel))
     for run_pass in passes:
         start = time.perf_counter()
         changed = run_pass(kernel)
@@ -44,7 +45,7 @@ def run_passes(kernel: kir.Kernel, passes: Sequence[Pass] = PASSES) -> kir.Kerne
         _log.debug("%s: %s took %.2f ms", kernel.name, name, 1e3 * (time.perf_counter() - start))
         if changed is not kernel and changed.body is not kernel.body:
             _verify(changed, name)
-            _dump(changed, name)
+            dump(kernel.name, name, partial(kir_print.text, changed))
         kernel = changed
     return kernel
 
@@ -56,7 +57,8 @@ def _verify(kernel: kir.Kernel, stage: str) -> None:
         raise CompilerBug(f"kernel {kernel.name!r} after {stage}: {bug}") from bug
 
 
-def _dump(kernel: kir.Kernel, stage: str) -> None:
+def dump(kernel: str, stage: str, text: Callable[[], str]) -> None:
+    """Prints ``text`` to stderr where ``EBB_DUMP`` asks for the stages of the kernel of that name."""
     asked = os.environ.get("EBB_DUMP", "")
-    if asked == "all" or kernel.name in asked.split(","):
-        print(f"# {kernel.name} after {stage}\n{kir_print.text(kernel)}\n", file=sys.stderr)
+    if asked == "all" or kernel in asked.split(","):
+        print(f"# {kernel} after {stage}\n{text()}\n", file=sys.stderr)

@@ -20,7 +20,6 @@ _FLAGS = {
     lir.Precision.FAST: " reassoc nsz arcp contract afn",
 }
 _ACCUMULATE_FLAGS = " reassoc nsz contract"
-_COUNTER_WORD, _CAPACITY_WORD, _RECORDS_WORD = range(3)
 
 
 def emit(program: lir.Program, hooks: Hooks) -> str:
@@ -270,14 +269,15 @@ class _Emitter:
 
     def print(self, stmt: lir.Print) -> None:
         base = f"%slot{stmt.slot.number}"
-        record = self.w.emit(f"atomicrmw add ptr {base}, i64 1 monotonic")
-        place = self.w.emit(f"getelementptr inbounds i64, ptr {base}, i64 {_CAPACITY_WORD}")
+        counter = self.w.emit(f"getelementptr inbounds i64, ptr {base}, i64 {lir.PRINT_COUNTER}")
+        record = self.w.emit(f"atomicrmw add ptr {counter}, i64 1 monotonic")
+        place = self.w.emit(f"getelementptr inbounds i64, ptr {base}, i64 {lir.PRINT_CAPACITY}")
         capacity = self.w.emit(f"load i64, ptr {place}")
         fits, end = self.w.fresh("fits"), self.w.fresh("end")
         self.w.branch_if(self.w.emit(f"icmp ult i64 {record}, {capacity}"), fits, end)
         self.w.start(fits)
         start = self.w.emit(f"mul i64 {record}, {lir.PRINT_HEADER + self.program.print_words}")
-        first = self.w.emit(f"add i64 {start}, {_RECORDS_WORD}")
+        first = self.w.emit(f"add i64 {start}, {lir.PRINT_RECORDS}")
         words = [str(stmt.number), self.value(stmt.position)]
         words += [ops.to_word(self.w, value.type, self.value(value)) for value in stmt.values]
         for number, word in enumerate(words):
