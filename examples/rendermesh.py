@@ -130,7 +130,7 @@ def main(
         if save is not None and save.suffix == ".png":
             console.print(f"drawn by {save_strip(save, moments)}", markup=False)
         elif save is not None:
-            skin.save(save, positions="q", fields=[] if save.suffix == ".off" else ["normal"])
+            skin.save(save, positions="q", fields=["normal"] if save.suffix in (".vtu", ".vtk") else [])
         if save is not None:
             console.print(f"saved {save}")
     except ebb.EbbError as error:

@@ -79,15 +79,18 @@ def test_the_reference_agrees():
     assert skin.vertices.q.to_numpy() == pytest.approx(slow, abs=1e-6)
 
 
-def test_the_program(tmp_path):
+@pytest.mark.parametrize("suffix", ["off", "ply", "vtu"])
+def test_the_program(tmp_path, suffix):
+    if suffix != "off":
+        pytest.importorskip("meshio")
     app = typer.Typer()
     app.command()(rendermesh.main)
     TriMesh.icosphere(2).save(tmp_path / "sphere.off")
-    words = ["--mesh", str(tmp_path / "sphere.off"), "--resolution", "5", "--save", str(tmp_path / "out.off")]
+    words = ["--mesh", str(tmp_path / "sphere.off"), "--resolution", "5", "--save", str(tmp_path / f"out.{suffix}")]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     assert "162 points of the skin" in result.output
-    assert TriMesh.load(tmp_path / "out.off").triangles.size == 320
+    assert TriMesh.load(tmp_path / f"out.{suffix}").triangles.size == 320
 
 
 def test_the_torus_stands_upright():
