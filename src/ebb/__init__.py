@@ -18,6 +18,7 @@ from ebb.errors import (
 from ebb.kernel import Kernel, func, kernel
 from ebb.relations.field import Field
 from ebb.relations.globals import Global, constant
+from ebb.relations.member import Member
 from ebb.relations.relation import Relation
 from ebb.relations.subset import Subset
 from ebb.runtime.random import seed
@@ -140,6 +141,7 @@ __all__ = [
     "KernelAssertionError",
     "KernelSyntaxError",
     "KernelTypeError",
+    "Member",
     "MeshFormatError",
     "PhaseError",
     "Relation",

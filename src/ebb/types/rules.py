@@ -150,12 +150,6 @@ def widens(source: Type, target: Type) -> bool:
     return source.shape == target.shape and common_element(source.scalar, target.scalar) == target.scalar
 
 
-def common_type(a: Type, b: Type) -> Type | None:
-    """The type to which both widen without a cast, of the same shape as both, or None."""
-    element = common_element(a.scalar, b.scalar)
-    return None if element is None or a.shape != b.shape else with_scalar(a, element)
-
-
 def broadcast_shape(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[int, ...] | None:
     """The shape of an elementwise operation: equal shapes, or a scalar with any; None if they do not fit."""
     if a == b or not b:
