@@ -9,7 +9,7 @@ from ebb.compiler.cost import Cost, cost_of, group_size
 from ebb.compiler.kir_walk import queried_fields, statements
 from ebb.compiler.phases.centered import find_centered
 from ebb.compiler.phases.stencil import Access, collect_stencil, describe_move, target_of, written_at
-from ebb.compiler.phases.table import FieldPhase, GlobalPhase, PhaseKind, PhaseTable
+from ebb.compiler.phases.table import FieldPhase, PhaseKind, PhaseTable
 from ebb.compiler.phases.uses import collect_uses
 from ebb.diagnostics.span import Span
 from ebb.relations.field import Field
@@ -60,16 +60,12 @@ def _global_rows(kernel: kir.Kernel, phases: PhaseTable) -> Iterator[tuple[str, 
     uses = collect_uses(kernel, find_centered(kernel)).globals
     for globl, phase in phases.globals.items():
         spans = [use.span for use in uses.get(globl, ())]
-        yield _global_text(spans), str(phase), _global_verb(phase), repr(globl.type)
+        yield _global_text(spans), str(phase), "reduced" if phase.reduced else "read", repr(globl.type)
 
 
 def _global_text(spans: Sequence[Span]) -> str:
     """The global as the kernel writes it."""
     return next((span.text for span in spans), "unused")
-
-
-def _global_verb(phase: GlobalPhase) -> str:
-    return "reduced" if phase.reduced else "read"
 
 
 def _reduction_rows(kernel: kir.Kernel, phases: PhaseTable) -> Iterator[tuple[str, ...]]:

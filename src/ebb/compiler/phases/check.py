@@ -54,8 +54,8 @@ def _field_phase(uses: list[Use]) -> FieldPhase:
 
 
 def _global_phase(uses: list[Use]) -> GlobalPhase:
-    reduced = uses[0].mode is Mode.REDUCE
-    return GlobalPhase(PhaseKind.REDUCE if reduced else PhaseKind.READ, uses[0].op, not reduced, reduced)
+    kind = PhaseKind.REDUCE if uses[0].mode is Mode.REDUCE else PhaseKind.READ
+    return GlobalPhase(kind, uses[0].op)
 
 
 def _find_conflicts(kernel: kir.Kernel, uses: Uses) -> list[Diagnostic]:

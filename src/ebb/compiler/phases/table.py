@@ -54,8 +54,11 @@ class GlobalPhase:
 
     kind: PhaseKind
     op: ReduceOp | None
-    read: bool
-    reduced: bool
+
+    @property
+    def reduced(self) -> bool:
+        """Whether the kernel reduces into the global; else it reads it."""
+        return self.kind is PhaseKind.REDUCE
 
     def __str__(self) -> str:
         return phase_text(self.kind, self.op)
