@@ -74,7 +74,7 @@ class CppProgram:
         library = folder / "spring_mass.so"
         source = Path(__file__).with_suffix(".cpp")
         subprocess.run(["g++", *FLAGS, "-o", str(library), str(source)], check=True)
-        self.library = ctypes.CDLL(str(library))
+        self.program = ctypes.CDLL(str(library))
         vertices, edges = program.vertices, program.edges
         tail, head = edges.tail.to_numpy(), edges.head.to_numpy()
         by_tail = np.argsort(tail, kind="stable")
@@ -91,7 +91,7 @@ class CppProgram:
             return ctypes.c_void_p(array.ctypes.data)
 
         size = ctypes.c_int64(self.size)
-        self.library.internal_forces(
+        self.program.internal_forces(
             size,
             at(self.first),
             at(self.head),
@@ -100,7 +100,7 @@ class CppProgram:
             at(self.force),
             ctypes.c_float(STIFFNESS),
         )
-        self.library.apply_forces(size, at(self.q), at(self.qd), at(self.force), at(self.mass), ctypes.c_float(DT))
+        self.program.apply_forces(size, at(self.q), at(self.qd), at(self.force), at(self.mass), ctypes.c_float(DT))
 
 
 def alternate(first: Callable[[], None], second: Callable[[], None], runs: int) -> tuple[list[float], list[float]]:
