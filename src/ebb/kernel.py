@@ -33,10 +33,10 @@ from ebb.compiler.phases.stencil import check_stencil, collect_stencil
 from ebb.compiler.pipeline import run_passes
 from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError, trimmed
 from ebb.relations.field import Field
-from ebb.relations.grouping import Grouping
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
 from ebb.runtime.threads import launching
+from ebb.types.types import Type
 
 _Function = Callable[..., None]
 _Types = tuple[ParameterType, ...]
@@ -56,6 +56,12 @@ class Specialisation:
     def holds(self, parameters: tuple[Any, ...]) -> bool:
         """Whether the captured names still are what this was made for."""
         return all([guard.holds(parameters) for guard in self.guards])
+
+    def refresh(self) -> None:
+        """Makes the groupings that the kernel queries valid."""
+        for index in self.indexes:
+            assert index.grouping is not None, f"{index.path} is queried, so that it is grouped"
+            index.grouping.refresh()
 
     def executable(self, backend: Backend) -> Executable:
         """This specialisation, ready to run on ``backend``."""
@@ -79,8 +85,7 @@ class Launch:
 
     def _run(self, parameters: tuple[Any, ...]) -> None:
         specialisation = self.specialisation
-        for index in specialisation.indexes:
-            _index_of(index).refresh()
+        specialisation.refresh()
         for used in specialisation.used:
             used.check_no_view()
         kernel = specialisation.checked.kernel
@@ -180,8 +185,7 @@ class Kernel:
         launch = self._find_launch(rows, self._bind(rows, parameters, named))
         if stage == "kir":
             return kir_print.text(launch.specialisation.checked.kernel)
-        for index in launch.specialisation.indexes:
-            _index_of(index).refresh()
+        launch.specialisation.refresh()
         backend = current_backend()
         text = launch.specialisation.executable(backend).inspect(stage)
         if text is None:
@@ -203,7 +207,7 @@ class Kernel:
         return inspect.Signature([p.replace(annotation=inspect.Parameter.empty) for p in parameters[1:]])
 
     @functools.cached_property
-    def _declared(self) -> tuple[tuple[str, ParameterType | type[str] | None], ...]:
+    def _declared(self) -> tuple[tuple[str, Type | type[str] | None], ...]:
         return tuple(parameter_types(self.source).items())
 
     def _bind(self, rows: Any, parameters: tuple[Any, ...], named: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -224,19 +228,19 @@ class Kernel:
         pairs = zip(self._declared, arguments, strict=True)
         return tuple([self._type(name, declared, value) for (name, declared), value in pairs])
 
-    def _type(self, name: str, declared: ParameterType | type[str] | None, value: Any) -> ParameterType:
-        if declared is str or (declared is None and isinstance(value, str)):
-            if not isinstance(value, str):
-                raise KernelTypeError(ArgumentType(self._name, name, value, "it is declared as the name of a field"))
+    def _type(self, name: str, declared: Type | type[str] | None, value: Any) -> ParameterType:
+        named = declared is None or isinstance(declared, type)
+        if named and isinstance(value, str):
             return FieldName(value)
-        if declared is None or isinstance(declared, type):
-            bare = argument_type(value)
-            if bare is None:
-                raise KernelTypeError(ArgumentType(self._name, name, value, None))
-            return bare
-        if not isinstance(declared, FieldName):
+        if isinstance(declared, type):
+            raise KernelTypeError(ArgumentType(self._name, name, value, "it is declared as the name of a field"))
+        if declared is not None:
             check_argument(self._name, name, value, declared)
-        return declared
+            return declared
+        bare = argument_type(value)
+        if bare is None:
+            raise KernelTypeError(ArgumentType(self._name, name, value, None))
+        return bare
 
     def _compiled(self, relation: Relation) -> _Compiled:
         kept = relation.storage.compiled
@@ -356,8 +360,3 @@ def _enclosing_locals(decorator: FrameType | None) -> Mapping[str, Any] | None:
             inner = frame.f_code
         frame = frame.f_back
     return ChainMap(*scopes) if scopes else None
-
-
-def _index_of(field: Field) -> Grouping:
-    assert field.grouping is not None, f"{field.path} is queried, so that it is grouped"
-    return field.grouping

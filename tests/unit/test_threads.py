@@ -72,9 +72,13 @@ def test_launches_from_several_python_threads(summing):
     from kir_forms import const
 
     executable = cpu_backend(2).prepare(checked(on.kernel(reduce_global(counter, "+", const(1, int64)))))
-    workers = [
-        threading.Thread(target=lambda: [executable.launch(kernel.relation, ()) for _ in range(50)]) for _ in range(4)
-    ]
+
+    def work():
+        for _ in range(50):
+            with threads.launching():  # as kernels do
+                executable.launch(kernel.relation, ())
+
+    workers = [threading.Thread(target=work) for _ in range(4)]
     for worker in workers:
         worker.start()
     for worker in workers:

@@ -38,7 +38,7 @@ class Executable(Protocol):
     """A kernel made ready to run on one backend."""
 
     def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
-        """Runs the kernel on ``rows`` and waits until its effects can be seen.
+        """Runs the kernel on ``rows`` and waits until its effects can be seen. The caller holds ``launching()``.
 
         Raises:
             EbbError: an assertion or a bounds check of the kernel failed for some row.

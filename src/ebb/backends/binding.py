@@ -20,7 +20,6 @@ from ebb.relations.subset import RowSet
 from ebb.runtime import random
 from ebb.runtime.buffer import Array, aligned_zeros
 from ebb.runtime.cpu import BLOCKS, BOXES, ROWS, ArgumentBlock, CpuCode, CpuDevice
-from ebb.runtime.threads import launching
 from ebb.types.types import Kind, ScalarType
 
 _VIEWS = {
@@ -61,15 +60,11 @@ class Binding:
             self._bind_argument(argument)
 
     def run(self, uniforms: tuple[Any, ...]) -> None:
-        """Launches the code once. Launches from several Python threads wait for one another.
+        """Launches the code once. The caller holds ``launching()``: there is one argument block.
 
         Raises:
             EbbError: an assertion or a check of the kernel failed for some row.
         """
-        with launching():
-            self._run(uniforms)
-
-    def _run(self, uniforms: tuple[Any, ...]) -> None:
         words = self._block.numbers
         # Held, so that no memory goes while the code runs, should another thread swap or group meanwhile.
         held = [field.buffer for _, field in self._fields]

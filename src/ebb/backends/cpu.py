@@ -85,6 +85,8 @@ class CpuExecutable:
     def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
         """Runs the kernel on ``rows`` and waits for it. The groupings that it queries are valid.
 
+        The caller holds ``launching()``.
+
         Args:
             rows: the kernel's relation or a subset of it.
             uniforms: the values of ``kernel.uniforms`` as NumPy values of their types.
