@@ -8,6 +8,7 @@ from ebb.compiler import kir
 from ebb.compiler.cost import Cost, cost_of, group_size
 from ebb.compiler.kir_walk import queried_fields, statements
 from ebb.compiler.phases.centered import find_centered
+from ebb.compiler.phases.order import why_in_order
 from ebb.compiler.phases.stencil import Access, collect_stencil, describe_move, target_of, written_at
 from ebb.compiler.phases.table import FieldPhase, PhaseKind, PhaseTable
 from ebb.compiler.phases.uses import collect_uses
@@ -109,11 +110,8 @@ def _stencil_row(access: Access) -> tuple[str, ...]:
 
 
 def _order_line(kernel: kir.Kernel, phases: PhaseTable) -> str:
-    if any(isinstance(stmt, kir.Print) for stmt in statements(kernel.body)):
-        return "one after the other, so that what they print comes in order"
-    if any(phase.kind is PhaseKind.REDUCE for phase in phases.fields.values()):
-        return "one after the other, so that sums in other rows do not depend on the threads"
-    return "any: blocks of rows run on all threads"
+    reason = why_in_order(kernel, phases)
+    return f"one after the other, {reason.value}" if reason else "any: blocks of rows run on all threads"
 
 
 def _storage_line(relation: Relation) -> str:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ebb.compiler import kir, lir
-from ebb.compiler.kir_walk import draws, statements
+from ebb.compiler.kir_walk import draws
 from ebb.compiler.lower.bindings import variables
 from ebb.compiler.lower.context import Context, Launched, value_scalar
 from ebb.compiler.lower.facts import Facts
 from ebb.compiler.lower.keys import linear
 from ebb.compiler.lower.reductions import combine_partials, open_accumulators, reduced_globals, store_partials
 from ebb.compiler.lower.statements import bind, lower_body
-from ebb.compiler.phases.table import PhaseKind, PhaseTable
+from ebb.compiler.phases.order import why_in_order
+from ebb.compiler.phases.table import PhaseTable
 from ebb.types.types import int64, uint64
 
 
@@ -35,7 +36,7 @@ def lower(
         precision: what the optimiser may do to floats.
     """
     ctx = Context(kernel, phases, frozenset(unchecked), facts)
-    schedule = _schedule(ctx)
+    schedule = lir.Schedule.PARALLEL if why_in_order(kernel, phases) is None else lir.Schedule.ORDERED
     rows = lir.Rows.INDEPENDENT if schedule is lir.Schedule.PARALLEL else lir.Rows.IN_ORDER
     reduced = reduced_globals(kernel)
     block_number = ctx.build.temp(int64)
@@ -68,14 +69,6 @@ def lower(
 def variable_bytes(kernel: kir.Kernel) -> int:
     """The size of the locals of ``kernel`` that need memory; ``Program.private_bytes`` is at least that."""
     return sum(value_scalar(local.type.scalar).bits // 8 * local.type.size for local in variables(kernel))
-
-
-def _schedule(ctx: Context) -> lir.Schedule:
-    """In order where rows reduce into other rows, whose sums would else depend on the threads, or where they print."""
-    if any(isinstance(stmt, kir.Print) for stmt in statements(ctx.kernel.body)):
-        return lir.Schedule.ORDERED
-    shared = any(phase.kind is PhaseKind.REDUCE for phase in ctx.phases.fields.values())
-    return lir.Schedule.ORDERED if shared else lir.Schedule.PARALLEL
 
 
 def _row_body(ctx: Context, index: tuple[lir.Temp, ...], launched: Launched) -> lir.Body:
