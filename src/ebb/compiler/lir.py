@@ -99,6 +99,16 @@ class Extent:
 
 
 @dataclass(frozen=True, slots=True)
+class ColumnStride:
+    """How many elements after a column of a field of ``relation`` the next one begins, in the layout of columns, for
+    elements of ``itemsize`` bytes.
+    """
+
+    relation: Relation
+    itemsize: int
+
+
+@dataclass(frozen=True, slots=True)
 class BlockCount:
     """How many blocks the launch has."""
 
@@ -111,7 +121,7 @@ class RandomWord(Enum):
     LAUNCH = "launch"
 
 
-ArgumentBinding: TypeAlias = UniformComponent | Extent | BlockCount | RandomWord
+ArgumentBinding: TypeAlias = UniformComponent | Extent | ColumnStride | BlockCount | RandomWord
 
 # ---- Values and places. ----
 

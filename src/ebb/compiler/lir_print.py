@@ -61,6 +61,8 @@ def _binding(binding: lir.SlotBinding | lir.ArgumentBinding) -> str:  # noqa: C9
             return f"uniform {uniform}[{component}]"
         case lir.Extent(relation, dimension):
             return f"{relation.name}.shape[{dimension}]"
+        case lir.ColumnStride(relation, itemsize):
+            return f"columns of {relation.name}, {itemsize} bytes an element"
         case lir.BlockCount():
             return "blocks of the launch"
         case lir.RandomWord():

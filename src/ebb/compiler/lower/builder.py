@@ -195,6 +195,8 @@ def _fold(op: str, left: lir.Value, right: lir.Value) -> lir.Value | None:
             return left
         case "+", lir.Literal(0, _), _:
             return right
+        case ("*", lir.Literal(0, _), _) | ("*", _, lir.Literal(0, _)):
+            return index(0)
         case "*", _, lir.Literal(1, _):
             return left
         case "*", lir.Literal(1, _), _:

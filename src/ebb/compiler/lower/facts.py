@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import expressions, queried_fields
+from ebb.compiler.kir_walk import expressions, queried_fields, statements
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
+from ebb.runtime.buffer import Layout
 from ebb.types.types import KeyType, Type
 
 _Source = TypeVar("_Source", Field, Relation)
@@ -26,11 +27,13 @@ class Facts:
         unset: key fields that may hold unset keys.
         permuted: relations whose rows are not stored in the order of their identities.
         indirect: grouped key fields whose groups are lists of positions.
+        columns: fields of several components that lie in columns.
     """
 
     unset: frozenset[Field]
     permuted: frozenset[Relation]
     indirect: frozenset[Field]
+    columns: frozenset[Field]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,7 @@ class FactSources:
     keys: tuple[Field, ...]
     numbered: tuple[Relation, ...]
     queried: tuple[Field, ...]
+    shaped: tuple[Field, ...]
 
     def state(self) -> State:
         """The facts now."""
@@ -47,6 +51,7 @@ class FactSources:
             *[field.maybe_unset for field in self.keys],
             *[relation.storage.order is not None for relation in self.numbered],
             *[field.grouping is not None and field.grouping.rows is not None for field in self.queried],
+            *[field.buffer.layout is Layout.COLUMNS for field in self.shaped],
         )
 
     def facts(self, state: State) -> Facts:
@@ -60,6 +65,7 @@ class FactSources:
             unset=holding(self.keys),
             permuted=holding(self.numbered),
             indirect=holding(self.queried),
+            columns=holding(self.shaped),
         )
 
 
@@ -68,10 +74,13 @@ def sources_of(kernel: kir.Kernel) -> FactSources:
     found = list(expressions(kernel.body))
     drawn = (kernel.relation for expr in found if isinstance(expr, kir.Random))
     named = (target(expr.key.type) for expr in found if isinstance(expr, kir.RowId))
+    read = [expr.field for expr in found if isinstance(expr, kir.ReadField)]
+    changed = [stmt.field for stmt in statements(kernel.body) if isinstance(stmt, kir.WriteField | kir.ReduceField)]
     return FactSources(
-        keys=_once(e.field for e in found if isinstance(e, kir.ReadField) and isinstance(e.field.type.scalar, KeyType)),
+        keys=_once(field for field in read if field.target is not None),
         numbered=_once((*drawn, *named)),
         queried=queried_fields(kernel),
+        shaped=_once(field for field in (*read, *changed) if field.type.size > 1),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
 
@@ -191,18 +192,37 @@ def _in_range(ctx: Context, expr: kir.Expr, extent: int) -> bool:
             return False
 
 
-def place(ctx: Context, field: Field, position: lir.Value, start: lir.Value) -> lir.Value:
-    """The index in the field's slot of the component ``start`` of the row at ``position``. The one place that knows
-    the layout of fields: one row after the other, the components of a row together.
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where components of a row lie in the slot of a field.
+
+    Attributes:
+        first: the index of the first of them.
+        step: from one to the next.
     """
-    return ctx.build.add_index(ctx.build.scale_index(position, field.type.size), start)
+
+    first: lir.Value
+    step: lir.Value
+
+    def component(self, ctx: Context, k: int) -> lir.Value:
+        """The index of the component ``k`` after the first."""
+        return ctx.build.add_index(self.first, ctx.build.scale_index(self.step, k))
+
+
+def place(ctx: Context, field: Field, position: lir.Value, start: lir.Value) -> Place:
+    """Where the components from ``start`` on of the row at ``position`` lie. The one place that knows the layouts."""
+    b = ctx.build
+    if field not in ctx.facts.columns:
+        return Place(b.add_index(b.scale_index(position, field.type.size), start), index(1))
+    step = ctx.argument(lir.ColumnStride(field.relation, field.type.dtype.itemsize), int64)
+    return Place(b.add_index(b.scale_index(start, step), position), step)
 
 
 def read_field(ctx: Context, field: Field, position: lir.Value, start: lir.Value, size: int, span: Span) -> Values:
     """``size`` components of a field's value in a row, from ``start`` on. Keys among them must be set."""
     b = ctx.build
-    slot, first = ctx.slot(lir.FieldData(field)), place(ctx, field, position, start)
-    loaded = [b.load(slot, b.add_index(first, k)) for k in range(size)]
+    slot, at = ctx.slot(lir.FieldData(field)), place(ctx, field, position, start)
+    loaded = [b.load(slot, at.component(ctx, k)) for k in range(size)]
     if isinstance(field.type.scalar, ScalarType):
         return tuple(loaded)
     keys = [b.convert(key, int64) for key in loaded]

@@ -9,7 +9,7 @@ from ebb.compiler.kir_walk import bodies
 from ebb.compiler.lower.builder import Values, number
 from ebb.compiler.lower.context import Context, memory_scalar, value_scalar
 from ebb.compiler.lower.expressions import group, lower_expr, lower_indices, lower_scalar
-from ebb.compiler.lower.keys import part, place
+from ebb.compiler.lower.keys import Place, part, place
 from ebb.compiler.lower.sites import AssertSite, StepSite
 from ebb.types.types import int64, uint64
 
@@ -33,11 +33,11 @@ def lower_stmt(ctx: Context, stmt: kir.Stmt) -> None:  # noqa: C901 - one case a
         case kir.Assign():
             _assign(ctx, stmt)
         case kir.WriteField(field=field, value=value):
-            first, size = _field_place(ctx, stmt)
+            at, size = _field_place(ctx, stmt)
             stored = [b.convert(v, memory_scalar(field.type.scalar)) for v in lower_expr(ctx, value)]
             slot = ctx.slot(lir.FieldData(field))
             for k in range(size):
-                b.add(lir.Store(slot, b.add_index(first, k), stored[k]))
+                b.add(lir.Store(slot, at.component(ctx, k), stored[k]))
         case kir.ReduceField():
             _reduce_field(ctx, stmt)
         case kir.ReduceGlobal(globl, indices, op, value):
@@ -89,8 +89,8 @@ def _assign(ctx: Context, stmt: kir.Assign) -> None:
         ctx.build.store_var(var, ctx.build.add_index(start, k), value)
 
 
-def _field_place(ctx: Context, stmt: kir.WriteField | kir.ReduceField) -> tuple[lir.Value, int]:
-    """The index in the field's slot of the place that ``stmt`` changes, and the number of components."""
+def _field_place(ctx: Context, stmt: kir.WriteField | kir.ReduceField) -> tuple[Place, int]:
+    """What ``stmt`` changes of the field's slot, and the number of components."""
     position = lower_scalar(ctx, stmt.key)
     start, size = part(ctx, stmt.indices, lower_indices(ctx, stmt.indices), stmt.field.type)
     return place(ctx, stmt.field, position, start), size
@@ -98,11 +98,11 @@ def _field_place(ctx: Context, stmt: kir.WriteField | kir.ReduceField) -> tuple[
 
 def _reduce_field(ctx: Context, stmt: kir.ReduceField) -> None:
     b = ctx.build
-    first, size = _field_place(ctx, stmt)
+    changed, size = _field_place(ctx, stmt)
     values = lower_expr(ctx, stmt.value)
     slot = ctx.slot(lir.FieldData(stmt.field))
     for k in range(size):
-        at = b.add_index(first, k)
+        at = changed.component(ctx, k)
         b.add(lir.Store(slot, at, b.binary(stmt.op.value, b.load(slot, at), values[k])))
 
 
