@@ -2,7 +2,7 @@
 
 Three lifetimes, three objects. A ``Kernel`` is the body: the decorated function. A ``Specialisation`` is what became of
 it for one relation and one set of parameter types: KIR, phases, executables. A ``Launch`` is a specialisation on one
-set of rows, checked once: what a repeated launch runs.
+set of rows, checked once: what a repeated launch runs (``launch.py``).
 """
 
 from __future__ import annotations
@@ -15,87 +15,30 @@ from dataclasses import dataclass, field
 from types import CodeType, FrameType, FunctionType
 from typing import Any, overload
 
-from ebb.backends.backend import Backend, CheckedKernel, Executable, Hints
+from ebb.backends.backend import CheckedKernel, Hints
 from ebb.backends.select import current_backend
 from ebb.compiler import kir_print, kir_walk
-from ebb.compiler.arguments import argument_type, check_argument, uniform_values
+from ebb.compiler.arguments import argument_type, check_argument
 from ebb.compiler.elaborate.elaborate import elaborate
 from ebb.compiler.elaborate.errors import NotAFunction
 from ebb.compiler.elaborate.errors_syntax import TooDeep
 from ebb.compiler.elaborate.function import Func
-from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
 from ebb.compiler.elaborate.source import SourceFunction, find_source
 from ebb.compiler.explain import explain
 from ebb.compiler.launch_errors import ArgumentCount, ArgumentType, NotRows, RowsMismatch, UnknownStage
 from ebb.compiler.phases.check import check_phases
+from ebb.compiler.phases.reach import collect_reaches
 from ebb.compiler.phases.stencil import check_stencil, collect_stencil
 from ebb.compiler.pipeline import run_passes
 from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError, trimmed
-from ebb.relations.field import Field
+from ebb.launch import Launch, Specialisation
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
-from ebb.runtime.threads import launching
 from ebb.types.types import Type
 
 _Function = Callable[..., None]
 _Types = tuple[ParameterType, ...]
-
-
-@dataclass(slots=True, eq=False)
-class Specialisation:
-    """A kernel for one relation and one set of parameter types, as long as its guards hold."""
-
-    checked: CheckedKernel
-    guards: tuple[Guard, ...]
-    indexes: tuple[Field, ...]
-    used: tuple[Field, ...]
-    written: tuple[Field, ...]
-    executables: dict[Backend, Executable] = field(default_factory=dict[Backend, Executable])
-
-    def holds(self, parameters: tuple[Any, ...]) -> bool:
-        """Whether the captured names still are what this was made for."""
-        return all([guard.holds(parameters) for guard in self.guards])
-
-    def refresh(self) -> None:
-        """Makes the groupings that the kernel queries valid."""
-        for index in self.indexes:
-            assert index.grouping is not None, f"{index.path} is queried, so that it is grouped"
-            index.grouping.refresh()
-
-    def executable(self, backend: Backend) -> Executable:
-        """This specialisation, ready to run on ``backend``."""
-        executable = self.executables.get(backend)
-        if executable is None:
-            executable = self.executables[backend] = backend.prepare(self.checked)
-        return executable
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Launch:
-    """A specialisation on a set of rows for which its stencil has been checked."""
-
-    specialisation: Specialisation
-    rows: RowSet
-
-    def run(self, parameters: tuple[Any, ...]) -> None:
-        """Runs the kernel once, on the current backend. Launches from several Python threads wait for one another."""
-        with launching():
-            self._run(parameters)
-
-    def _run(self, parameters: tuple[Any, ...]) -> None:
-        specialisation = self.specialisation
-        specialisation.refresh()
-        for used in specialisation.used:
-            used.check_no_view()
-        kernel = specialisation.checked.kernel
-        uniforms = uniform_values(kernel.name, kernel.uniforms, parameters) if kernel.uniforms else ()
-        executable = specialisation.executable(current_backend())
-        try:
-            executable.launch(self.rows, uniforms)
-        finally:
-            for written in specialisation.written:
-                written.changed()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,6 +232,7 @@ class Kernel:
             indexes=tuple(kir_walk.queried_fields(kernel)),
             used=tuple(phases.fields),
             written=tuple(f for f, phase in phases.fields.items() if phase.changed),
+            reaches=collect_reaches(kernel),
         )
 
 

@@ -27,7 +27,7 @@ def launch(executable, kernel, rows, uniforms=()):
             field.grouping.refresh()
     check_stencil(kernel, collect_stencil(kernel), rows)
     try:
-        executable.launch(rows, uniforms)
+        executable.bind(rows).run(uniforms)
     finally:
         for field in changed_fields(kernel):
             field.changed()

@@ -41,7 +41,7 @@ def compilations(monkeypatch):
 
 def run(kernel, cache):
     before = kernel.relation.x.to_numpy()
-    CpuBackend(CpuDevice(1), cache).prepare(checked(kernel)).launch(kernel.relation, ())
+    CpuBackend(CpuDevice(1), cache).prepare(checked(kernel)).bind(kernel.relation).run(())
     assert (kernel.relation.x.to_numpy() == 2 * before).all()
 
 

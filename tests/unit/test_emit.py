@@ -161,4 +161,4 @@ def test_variables_that_no_stack_holds_are_an_error():
         ]
     kernel = on.kernel(*body, write(relation.i, on.row, i32(0)))
     with pytest.raises(BackendError, match="E605"):
-        cpu_backend(1).prepare(checked(kernel)).launch(relation, ())
+        cpu_backend(1).prepare(checked(kernel)).bind(relation).run(())

@@ -437,10 +437,10 @@ def test_a_failed_launch_leaves_globals_alone_and_the_next_one_works():
     kernel = on.kernel(reduce_global(total, "+", const(1, int64)), kir.Assert(fine, "", HERE))
     executable = cpu_backend(2).prepare(checked(kernel))
     with pytest.raises(KernelAssertionError):
-        executable.launch(relation, ())
+        executable.bind(relation).run(())
     assert total.value == 10
     relation.n.fill(0)
-    executable.launch(relation, ())
+    executable.bind(relation).run(())
     assert total.value == 5010
 
 
@@ -479,7 +479,7 @@ def test_no_row_of_an_empty_grid_is_touched(edge):
     node = affine(grid, [[1, 0, 0], [0, 1, 0]], on.row, edge)
     kernel = on.kernel(write(other.y, on.row, read(grid.x, node)))
     with pytest.raises(BoundsError):
-        cpu_backend(1).prepare(checked(kernel)).launch(other, ())
+        cpu_backend(1).prepare(checked(kernel)).bind(other).run(())
 
 
 def test_unset_keys_are_errors_to_follow():
@@ -505,9 +505,9 @@ def test_setting_the_last_key_needs_no_new_executable():
     kernel = on.kernel(write(edges.w, on.row, read(points.x, read(edges.next, on.row))))
     executable = cpu_backend(1).prepare(checked(kernel))
     with pytest.raises(RelationError):
-        executable.launch(edges, ())
+        executable.bind(edges).run(())
     edges.next.load([2, 2, 2])
-    executable.launch(edges, ())
+    executable.bind(edges).run(())
     assert np.all(edges.w.to_numpy() == points.x.to_numpy()[2])
 
 

@@ -192,6 +192,6 @@ def test_fastmath_still_knows_nan_and_infinity():
     relation.new_field("x", float64, init=[np.nan, np.inf, 1.0])
     on = OnRows(relation)
     kernel = results(relation, on, call("isnan", read(relation.x, on.row)), call("isinf", read(relation.x, on.row)))
-    cpu_backend(1).prepare(checked(kernel, fastmath=True)).launch(relation, ())
+    cpu_backend(1).prepare(checked(kernel, fastmath=True)).bind(relation).run(())
     assert relation.out0.to_numpy().tolist() == [True, False, False]
     assert relation.out1.to_numpy().tolist() == [False, True, False]

@@ -32,7 +32,7 @@ def summing():
 
 def launch(kernel, total, count):
     total.value = 0.0
-    cpu_backend(count).prepare(checked(kernel)).launch(kernel.relation, ())
+    cpu_backend(count).prepare(checked(kernel)).bind(kernel.relation).run(())
     return total.data.tobytes(), kernel.relation.y.data.tobytes()
 
 
@@ -76,7 +76,7 @@ def test_launches_from_several_python_threads(summing):
     def work():
         for _ in range(50):
             with threads.launching():  # as kernels do
-                executable.launch(kernel.relation, ())
+                executable.bind(kernel.relation).run(())
 
     workers = [threading.Thread(target=work) for _ in range(4)]
     for worker in workers:

@@ -34,14 +34,33 @@ class CheckedKernel:
     hints: Hints
 
 
-class Executable(Protocol):
-    """A kernel made ready to run on one backend."""
+class Bound(Protocol):
+    """A kernel on one set of rows, with all that stays as it is until the structure changes put in place."""
 
-    def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
-        """Runs the kernel on ``rows`` and waits until its effects can be seen. The caller holds ``launching()``.
+    def run(self, uniforms: tuple[Any, ...]) -> None:
+        """Runs the kernel and waits until its effects can be seen. The caller holds ``launching()``.
+
+        Fields may have been swapped since the kernel was bound, and their values changed; nothing else.
+
+        Args:
+            uniforms: the values of ``kernel.uniforms`` as NumPy values of their types.
 
         Raises:
             EbbError: an assertion or a bounds check of the kernel failed for some row.
+        """
+        ...
+
+
+class Executable(Protocol):
+    """A kernel made ready to run on one backend."""
+
+    def bind(self, rows: RowSet) -> Bound:
+        """The kernel on ``rows``, for the data as it is: good until ``structure_changed`` is next called.
+
+        The groupings that the kernel queries are valid. The caller holds ``launching()``.
+
+        Raises:
+            BackendError: the kernel cannot be compiled.
         """
         ...
 

@@ -1,13 +1,16 @@
 """A compiled kernel bound to a set of rows: what a repeated launch runs.
 
-All that does not change between launches is put into the argument block once. A launch writes the addresses of fields,
-which swaps and groupings replace, and the uniforms, and calls the machine code.
+All that does not change between launches is put into the argument block once, the addresses of indexes again whenever
+the structure has changed. A launch writes the addresses of fields, which swaps replace, and the uniforms, and calls the
+machine code.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
+
+import numpy as np
 
 from ebb.backends.llvm.layout import layout_of
 from ebb.backends.printing import PrintBuffer
@@ -18,8 +21,8 @@ from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
-from ebb.runtime.buffer import Array, aligned_zeros
-from ebb.runtime.cpu import BLOCKS, BOXES, ROWS, ArgumentBlock, CpuCode, CpuDevice
+from ebb.runtime.buffer import Array, aligned_zeros, column_stride
+from ebb.runtime.cpu import BLOCKS, BOXES, ITEMS, ROWS, STARTS, WAVES, ArgumentBlock, CpuCode, CpuDevice
 from ebb.types.types import Kind, ScalarType
 
 _VIEWS = {
@@ -47,9 +50,10 @@ class Binding:
         self._layout = layout_of(program)
         self._block = ArgumentBlock(self._layout.words, device.threads)
         self._blocks = self._place_rows(rows)
-        self._shares = self._blocks if program.schedule is lir.Schedule.PARALLEL else 1
+        self._shares = self._place_waves()
         self._fields: list[tuple[int, Field]] = []
-        self._arrays: list[tuple[int, _ArrayAddress]] = []
+        self._sources: list[tuple[int, Callable[[], Array | None]]] = []
+        self._arrays: list[Array] = []
         self._uniforms: list[tuple[Callable[[int, Any], None], int, int, int]] = []
         self._random_words: dict[lir.RandomWord, int] = {}
         self._prints: PrintBuffer | None = None
@@ -58,6 +62,16 @@ class Binding:
             self._bind_slot(slot, rows)
         for argument in program.arguments:
             self._bind_argument(argument)
+
+    def settle(self) -> None:
+        """Puts the addresses of indexes in place, which lie elsewhere after a change of the structure."""
+        arrays: list[Array] = []
+        for word, source in self._sources:
+            array = source()
+            assert array is not None
+            self._block.words[word] = array.ctypes.data
+            arrays.append(array)
+        self._arrays = arrays  # held while their addresses are in use
 
     def run(self, uniforms: tuple[Any, ...]) -> None:
         """Launches the code once. The caller holds ``launching()``: there is one argument block.
@@ -70,8 +84,6 @@ class Binding:
         held = [field.buffer for _, field in self._fields]
         for (word, _), buffer in zip(self._fields, held, strict=True):
             words[word] = buffer.address
-        for word, source in self._arrays:
-            words[word] = source.address()
         for store, place, uniform, component in self._uniforms:
             value = uniforms[uniform]
             store(place, value.item() if component < 0 else value.flat[component].item())
@@ -104,21 +116,32 @@ class Binding:
         words[BLOCKS] = blocks
         return blocks
 
+    def _place_waves(self) -> int:
+        """Puts into the argument block which blocks may run at once; returns the most items of a wave."""
+        words = self._block.words
+        parallel = self._program.schedule is lir.Schedule.PARALLEL
+        self._items = np.array([0, self._blocks], dtype=np.int64)
+        self._starts = np.array([0, self._blocks if parallel else 1], dtype=np.int64)
+        words[ITEMS] = 0 if parallel else self._items.ctypes.data
+        words[STARTS] = self._starts.ctypes.data
+        words[WAVES] = 1
+        return self._blocks if parallel else 1
+
     def _bind_slot(self, slot: lir.Slot, rows: RowSet) -> None:
         word = self._layout.slots + slot.number
         match slot.binding:
             case lir.FieldData(field):
                 self._fields.append((word, field))
             case lir.GroupOffsets(index):
-                self._arrays.append((word, _ArrayAddress(lambda: _grouping(index).offsets)))
+                self._sources.append((word, lambda: _grouping(index).offsets))
             case lir.GroupRows(index):
-                self._arrays.append((word, _ArrayAddress(lambda: _grouping(index).rows)))
+                self._sources.append((word, lambda: _grouping(index).rows))
             case lir.RowOrder(relation):
-                self._arrays.append((word, _ArrayAddress(lambda: relation.storage.order)))
+                self._sources.append((word, lambda: relation.storage.order))
             case lir.LaunchPositions():
-                self._arrays.append((word, _ArrayAddress(rows.row_positions)))
+                self._sources.append((word, rows.row_positions))
             case lir.GlobalData(globl):
-                self._arrays.append((word, _ArrayAddress(lambda: globl.data)))
+                self._sources.append((word, lambda: globl.data))
             case lir.Partials(reduction):
                 self._keep(word, (self._blocks * self._components(reduction),), slot.type)
             case lir.PrintRecords():
@@ -140,6 +163,8 @@ class Binding:
         match argument.binding:
             case lir.Extent(relation, dimension):
                 self._block.words[word] = relation.shape[dimension]
+            case lir.ColumnStride(relation, itemsize):
+                self._block.words[word] = column_stride(relation.size, itemsize)
             case lir.BlockCount():
                 self._block.words[word] = self._blocks
             case lir.RandomWord():
@@ -159,25 +184,6 @@ class Binding:
         }
         for name, word in self._random_words.items():
             self._block.words[word] = values[name]
-
-
-class _ArrayAddress:
-    """The address of an array that may be replaced between launches, looked up again only when it was."""
-
-    __slots__ = ("_address", "_array", "_source")
-
-    def __init__(self, source: Callable[[], Array | None]) -> None:
-        self._source = source
-        self._array: Array | None = None
-        self._address = 0
-
-    def address(self) -> int:
-        """Where the array begins now."""
-        array = self._source()
-        if array is not self._array:
-            assert array is not None
-            self._array, self._address = array, array.ctypes.data
-        return self._address
 
 
 def _grouping(index: Field) -> Grouping:

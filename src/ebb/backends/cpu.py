@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ebb.backends.backend import CheckedKernel
+from ebb.backends.backend import Bound, CheckedKernel
 from ebb.backends.binding import Binding
 from ebb.backends.cache import ObjectCache, cache_directory
 from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, object_code
@@ -78,33 +78,28 @@ class CpuExecutable:
         self._checked = checked
         self._backend = backend
         self._sources = sources_of(checked.kernel)
-        self._depends = self._sources.state() != ()
         self._compiled: dict[tuple[Launched, State], tuple[lir.Program, CpuCode]] = {}
         self._bindings: dict[tuple[RowSet, State], Binding] = {}
 
-    def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
-        """Runs the kernel on ``rows`` and waits for it. The groupings that it queries are valid.
-
-        The caller holds ``launching()``.
+    def bind(self, rows: RowSet) -> Bound:
+        """The code for the data as it is, bound to ``rows``: compiled, where it is met so for the first time.
 
         Args:
-            rows: the kernel's relation or a subset of it.
-            uniforms: the values of ``kernel.uniforms`` as NumPy values of their types.
+            rows: the kernel's relation or a subset of it. The groupings that the kernel queries are valid.
 
         Raises:
-            EbbError: an assertion or a check of the kernel failed for some row.
+            BackendError: the code cannot be compiled.
         """
         if rows.size == 0:
-            if draws(self._checked.kernel):
-                random.next_launch()  # it counts, as on every backend
-            return
-        state = self._sources.state() if self._depends else ()
+            return _NoRows(draws(self._checked.kernel))
+        state = self._sources.state()
         binding = self._bindings.get((rows, state))
         if binding is None:
             program, code = self._compile(_launched(rows), state)
             device = self._backend.device
             binding = self._bindings[rows, state] = Binding(self._checked.kernel, program, code, device, rows)
-        binding.run(uniforms)
+        binding.settle()
+        return binding
 
     def inspect(self, stage: str) -> str | None:
         """The text of the stage ``lir``, ``llvm`` or ``asm`` for a launch on all rows; None for any other."""
@@ -131,6 +126,18 @@ class CpuExecutable:
             launched,
             lir.Precision.FAST if checked.hints.fastmath else lir.Precision.CONTRACT,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class _NoRows:
+    """A launch on no rows at all: nothing is run, but a launch that would draw random numbers counts."""
+
+    draws: bool
+
+    def run(self, uniforms: tuple[Any, ...]) -> None:
+        del uniforms
+        if self.draws:
+            random.next_launch()
 
 
 def _launched(rows: RowSet) -> Launched:

@@ -12,6 +12,7 @@ from ebb.backends.backend import Backend
 from ebb.backends.cpu import cpu_backend
 from ebb.backends.reference import reference_backend
 from ebb.errors import BackendError
+from ebb.runtime.epoch import structure_changed
 from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
 
 #: How to make each backend, and the options that it takes.
@@ -42,6 +43,7 @@ def set_backend(name: str, **options: Any) -> None:
         BackendError: there is no such backend, it does not take an option, or this machine lacks what it needs.
     """
     _selection.backend = _make_backend(name, options)
+    structure_changed()
 
 
 @contextmanager
@@ -53,10 +55,12 @@ def backend(name: str, **options: Any) -> Generator[None, None, None]:
     """
     chosen, before = _make_backend(name, options), _selection.backend
     _selection.backend = chosen
+    structure_changed()
     try:
         yield
     finally:
         _selection.backend = before
+        structure_changed()
 
 
 def current_backend() -> Backend:

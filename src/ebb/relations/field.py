@@ -12,6 +12,7 @@ from ebb.errors import RelationError
 from ebb.relations.errors import ForeignField, KeysNotWritable, TypeMismatch, ViewOpen
 from ebb.relations.loading import Place, called_by_row, converted, target_of
 from ebb.runtime.buffer import Array, Buffer
+from ebb.runtime.epoch import structure_changed
 from ebb.types.types import Type
 
 if TYPE_CHECKING:
@@ -33,9 +34,22 @@ class Field:
         relation: whose rows have the values.
         grouping: the index that ``group_by`` made, or None.
         version: counts the changes of the values; what is derived from them compares it.
+        buffer: the memory that ``data`` lies in now.
+        holds_keys: whether the values are keys.
     """
 
-    __slots__ = ("__weakref__", "_buffer", "_open_views", "_unset", "grouping", "name", "relation", "type", "version")
+    __slots__ = (
+        "__weakref__",
+        "_open_views",
+        "_unset",
+        "buffer",
+        "grouping",
+        "holds_keys",
+        "name",
+        "relation",
+        "type",
+        "version",
+    )
 
     def __init__(self, relation: Relation, name: str, type_: Type) -> None:
         self.relation = relation
@@ -44,9 +58,10 @@ class Field:
         self.grouping: Grouping | None = None
         self.version = 0
         self._open_views = 0
-        self._buffer = Buffer((relation.size, *type_.shape), type_.dtype)
+        self.buffer = Buffer((relation.size, *type_.shape), type_.dtype)
         self._unset: bool | None = False
-        if target_of(type_) is not None:
+        self.holds_keys = target_of(type_) is not None
+        if self.holds_keys:
             self.data.fill(UNSET)
             self._unset = relation.size > 0
 
@@ -62,17 +77,12 @@ class Field:
         The array is C-contiguous and aligned to 64 bytes. Swapping and grouping replace it, so nobody keeps it. Who
         writes to it calls ``changed`` afterwards.
         """
-        return self._buffer.host
-
-    @property
-    def buffer(self) -> Buffer:
-        """The memory that ``data`` lies in now."""
-        return self._buffer
+        return self.buffer.host
 
     @property
     def address(self) -> int:
         """Where ``data`` begins. It changes when ``data`` is replaced."""
-        return self._buffer.address
+        return self.buffer.address
 
     @property
     def target(self) -> Relation | None:
@@ -89,8 +99,9 @@ class Field:
     def changed(self) -> None:
         """Says that ``data`` has been written, by a kernel or through a view."""
         self.version += 1
-        if target_of(self.type) is not None:
+        if self.holds_keys:
             self._unset = None
+            structure_changed()
 
     def load(self, value: Any) -> None:
         """Sets the values of all rows. A load that fails changes nothing.
@@ -175,14 +186,17 @@ class Field:
 
     def replace(self, buffer: Buffer) -> None:
         """Takes ``buffer``: the same values, for rows that lie elsewhere. ``Relation.permute`` calls this."""
-        self._buffer = buffer
+        self.buffer = buffer
+        structure_changed()
 
     def swap_with(self, other: Field) -> None:
         """Exchanges the values with those of a field of the same relation and type, in constant time."""
-        self._buffer, other._buffer = other._buffer, self._buffer
+        self.buffer, other.buffer = other.buffer, self.buffer
         self._unset, other._unset = other._unset, self._unset
         self.version += 1
         other.version += 1
+        if self.holds_keys:
+            structure_changed()
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         if copy is False:
@@ -207,12 +221,14 @@ class Field:
     def _writable_view(self) -> Generator[Array, None, None]:
         array = self._shaped()
         self._open_views += 1
+        structure_changed()
         try:
             yield array
         finally:
             array.flags.writeable = False
             self._open_views -= 1
             self.changed()
+            structure_changed()
 
     def _place(self) -> Place:
         return Place(self.path, self.type, self.relation.shape)
@@ -227,7 +243,7 @@ class Field:
         source.check_no_view()
         if source.type == self.type:
             np.copyto(self.data, source.data)
-            self.version += 1
+            self.changed()
             self._unset = source._unset
         elif source.type.shape != self.type.shape or source.target is not None or self.target is not None:
             raise RelationError(
@@ -245,8 +261,7 @@ class Field:
         else:
             rows = values.reshape(size, *shape)
             self.data[...] = rows if order is None else rows[order]
-        self.version += 1
-        self._unset = None if self.target is not None else False  # masked keys are unset: see loading
+        self.changed()
 
 
 def _is_function(value: Any) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ebb.relations.storage import Rows
 from ebb.runtime.buffer import Array
+from ebb.runtime.epoch import structure_changed
 
 if TYPE_CHECKING:
     from ebb.relations.field import Field
@@ -72,6 +73,7 @@ class Grouping:
         counts = np.bincount(np.add(self.field.data, 1, dtype=np.int64), minlength=self.target.size + 1)
         self.offsets = np.cumsum(counts, dtype=np.int64)
         self._built = self._state()
+        structure_changed()
 
     def __repr__(self) -> str:
         return f"<grouping of {self.field.relation.name} by {self.field.name}>"

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ebb.runtime.buffer import Array
+from ebb.runtime.epoch import structure_changed
 
 if TYPE_CHECKING:
     from ebb.relations.field import Field
@@ -57,6 +58,7 @@ class Storage:
         self.rank = moved if self.rank is None else moved[self.rank]
         self.order = identities
         self.version += 1
+        structure_changed()
 
 
 def is_permutation(order: Rows, size: int) -> bool:

@@ -12,14 +12,26 @@ from ebb.relations.subset import RowSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ReferenceBound:
+    """A kernel and the rows that it runs on; the interpreter looks everything else up as it goes."""
+
+    kernel: kir.Kernel
+    rows: RowSet
+
+    def run(self, uniforms: tuple[Any, ...]) -> None:
+        """Runs the kernel; raises as ``run``."""
+        run(self.kernel, self.rows, uniforms)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ReferenceExecutable:
     """A kernel as the interpreter takes it, which is as it is."""
 
     kernel: kir.Kernel
 
-    def launch(self, rows: RowSet, uniforms: tuple[Any, ...]) -> None:
-        """Runs the kernel on ``rows``; raises as ``run``."""
-        run(self.kernel, rows, uniforms)
+    def bind(self, rows: RowSet) -> ReferenceBound:
+        """The kernel on ``rows``."""
+        return ReferenceBound(self.kernel, rows)
 
     def inspect(self, stage: str) -> str | None:
         """None: there is no stage beyond KIR."""

@@ -1,0 +1,108 @@
+"""What becomes of a kernel once it is checked: specialisations, and their launches on sets of rows.
+
+A repeated launch takes the fast path: while the structure epoch is the one at which it was settled, it evaluates its
+uniforms and runs what is bound. Otherwise it settles first, which may take its time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from ebb.backends.backend import Backend, Bound, CheckedKernel, Executable
+from ebb.backends.select import current_backend
+from ebb.compiler.arguments import uniform_values
+from ebb.compiler.elaborate.guards import Guard
+from ebb.relations.field import Field
+from ebb.relations.layout import consider_layout
+from ebb.relations.ordering import consider_order
+from ebb.relations.reach import Reach
+from ebb.relations.subset import RowSet
+from ebb.runtime.epoch import structure
+from ebb.runtime.threads import launching
+
+SETTLING_RUNS = 8
+"""The first runs of a launch all settle: by then the storage order and the layout have been decided."""
+
+
+@dataclass(slots=True, eq=False)
+class Specialisation:
+    """A kernel for one relation and one set of parameter types, as long as its guards hold."""
+
+    checked: CheckedKernel
+    guards: tuple[Guard, ...]
+    indexes: tuple[Field, ...]
+    used: tuple[Field, ...]
+    written: tuple[Field, ...]
+    reaches: tuple[Reach, ...]
+    executables: dict[Backend, Executable] = field(default_factory=dict[Backend, Executable])
+
+    def holds(self, parameters: tuple[Any, ...]) -> bool:
+        """Whether the captured names still are what this was made for."""
+        return all([guard.holds(parameters) for guard in self.guards])
+
+    def refresh(self) -> None:
+        """Makes the groupings that the kernel queries valid."""
+        for index in self.indexes:
+            assert index.grouping is not None, f"{index.path} is queried, so that it is grouped"
+            index.grouping.refresh()
+
+    def executable(self, backend: Backend) -> Executable:
+        """This specialisation, ready to run on ``backend``."""
+        executable = self.executables.get(backend)
+        if executable is None:
+            executable = self.executables[backend] = backend.prepare(self.checked)
+        return executable
+
+
+class Launch:
+    """A specialisation on a set of rows for which its stencil has been checked."""
+
+    __slots__ = ("_bound", "_epoch", "_runs", "rows", "specialisation")
+
+    def __init__(self, specialisation: Specialisation, rows: RowSet) -> None:
+        self.specialisation = specialisation
+        self.rows = rows
+        self._bound: Bound | None = None
+        self._epoch: object = None
+        self._runs = 0
+
+    def run(self, parameters: tuple[Any, ...]) -> None:
+        """Runs the kernel once, on the current backend. Launches from several Python threads wait for one another.
+
+        Raises:
+            EbbError: the data does not allow it, or the kernel failed for some row.
+        """
+        with launching():
+            bound = self._bound
+            if bound is None or self._epoch is not structure.epoch:
+                bound = self.settle()
+            specialisation = self.specialisation
+            kernel = specialisation.checked.kernel
+            uniforms = uniform_values(kernel.name, kernel.uniforms, parameters) if kernel.uniforms else ()
+            try:
+                bound.run(uniforms)
+            finally:
+                for written in specialisation.written:
+                    written.changed()
+
+    def settle(self) -> Bound:
+        """Looks at all that the launch relies on besides values, and binds the code to it. Holds ``launching()``.
+
+        Raises:
+            RelationError: a writable view of a field that the kernel uses is open.
+            BackendError: the backend cannot compile the kernel.
+        """
+        # Taken first: what changes while this looks, also by its own doing, is looked at again before the next run.
+        epoch = structure.epoch
+        specialisation = self.specialisation
+        consider_order(self.rows.relation, specialisation.reaches, self._runs)
+        consider_layout(self.rows.relation, specialisation.reaches, self._runs)
+        specialisation.refresh()
+        for used in specialisation.used:
+            used.check_no_view()
+        bound = specialisation.executable(current_backend()).bind(self.rows)
+        self._runs += 1
+        self._bound = bound
+        self._epoch = epoch if self._runs >= SETTLING_RUNS else None
+        return bound
