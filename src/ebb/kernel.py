@@ -11,7 +11,6 @@ import functools
 import inspect
 from collections import ChainMap
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from types import CodeType, FrameType, FunctionType
 from typing import Any, overload
 
@@ -33,6 +32,7 @@ from ebb.compiler.phases.stencil import check_stencil, collect_stencil
 from ebb.compiler.pipeline import run_passes
 from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError, trimmed
 from ebb.launch import Launch, Specialisation
+from ebb.records import field, record
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
 from ebb.types.types import Type
@@ -41,7 +41,7 @@ _Function = Callable[..., None]
 _Types = tuple[ParameterType, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class _Compiled:
     """What a kernel keeps for one relation: its specialisations by parameter types, and its launches on row sets."""
 

@@ -6,13 +6,13 @@ uniforms and runs what is bound. Otherwise it settles first, which may take its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 from ebb.backends.backend import Backend, Bound, CheckedKernel, Executable
 from ebb.backends.select import current_backend
 from ebb.compiler.arguments import uniform_values
 from ebb.compiler.elaborate.guards import Guard
+from ebb.records import field, record
 from ebb.relations.field import Field
 from ebb.relations.layout import consider_layout
 from ebb.relations.ordering import consider_order
@@ -25,7 +25,7 @@ SETTLING_RUNS = 8
 """The first runs of a launch all settle: by then the storage order and the layout have been decided."""
 
 
-@dataclass(slots=True, eq=False)
+@record(frozen=False, eq=False)
 class Specialisation:
     """A kernel for one relation and one set of parameter types, as long as its guards hold."""
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import get_args
 
 import pytest
@@ -32,7 +31,7 @@ def filled(node, expr, body):
         "Body": (body,),
         "tuple[str | tuple[Expr, str], ...]": ("x", (expr, "d"), (expr, "")),
     }
-    return node(**{f.name: values.get(f.type, f.name) for f in fields(node)})
+    return node(**{name: values.get(type_, name) for name, type_ in node.__annotations__.items()})
 
 
 def other(expr):
@@ -44,7 +43,7 @@ def test_expressions_are_taken_apart_and_put_together(node):
     before, after = filled(node, FIVE, PASS), filled(node, SIX, PASS)
     assert map_children(before, other) == after
     assert map_children(before, lambda expr: expr) is before
-    count = sum({"Expr": 1, "tuple[Expr, ...]": 2}.get(f.type, 0) for f in fields(node))
+    count = sum({"Expr": 1, "tuple[Expr, ...]": 2}.get(type_, 0) for type_ in node.__annotations__.values())
     assert children(before) == (FIVE,) * count
 
 
@@ -54,10 +53,10 @@ def test_statements_are_taken_apart_and_put_together(node):
     assert map_operands(before, other) == after
     assert map_operands(before, lambda expr: expr) is before
     sizes = {"Expr": 1, "tuple[Expr, ...]": 2, "tuple[str | tuple[Expr, str], ...]": 2}
-    assert operands(before) == (FIVE,) * sum(sizes.get(f.type, 0) for f in fields(node))
+    assert operands(before) == (FIVE,) * sum(sizes.get(type_, 0) for type_ in node.__annotations__.values())
     stop = kir.Continue(HERE)
     assert map_bodies(before, lambda body: (stop,)) == filled(node, FIVE, stop)
-    assert bodies(before) == ((PASS,),) * sum(f.type == "Body" for f in fields(node))
+    assert bodies(before) == ((PASS,),) * sum(type_ == "Body" for type_ in node.__annotations__.values())
 
 
 def test_walks_reach_every_depth():

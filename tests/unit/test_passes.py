@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,6 +12,7 @@ from ebb.compiler.passes.prune_branches import prune_branches
 from ebb.compiler.passes.simplify_powers import simplify_powers
 from ebb.compiler.pipeline import PASSES, run_passes
 from ebb.diagnostics.span import Source, Span
+from ebb.records import replace
 from ebb.relations.relation import Relation
 from ebb.types.types import bool_, float32, float64, int32, vector
 

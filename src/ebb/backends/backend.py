@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ebb.compiler import kir
 from ebb.compiler.phases.stencil import Access
 from ebb.compiler.phases.table import PhaseTable
+from ebb.records import record
 from ebb.relations.subset import RowSet
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Hints:
     """What ``@ebb.kernel(...)`` asks for. Hints change speed and rounding, never meaning.
 
@@ -24,7 +24,7 @@ class Hints:
     fastmath: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class CheckedKernel:
     """A kernel whose phases are right, after the passes, with the facts that stand beside the tree."""
 

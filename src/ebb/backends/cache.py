@@ -11,8 +11,9 @@ import os
 import sys
 import tempfile
 import warnings
-from dataclasses import dataclass, field
 from pathlib import Path
+
+from ebb.records import field, record
 
 _ENVIRONMENT = "EBB_CACHE_DIR"
 _CHECKSUM_BYTES = hashlib.sha256().digest_size
@@ -41,7 +42,7 @@ def key_of(*parts: str) -> str:
     return digest.hexdigest()
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class ObjectCache:
     """The object code in one folder. Without the folder everything works, and is compiled anew in each process.
 

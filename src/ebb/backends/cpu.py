@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from ebb.compiler import lir, lir_print
 from ebb.compiler.kir_walk import draws
 from ebb.compiler.lower import Launched, lower, sources_of, variable_bytes
 from ebb.compiler.lower.facts import State
+from ebb.records import record
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
 from ebb.runtime.cpu import CpuCode, CpuDevice
@@ -29,7 +29,7 @@ _STAGES: dict[str, Callable[[lir.Program, Target], str]] = {
 }
 
 
-@dataclass(slots=True, eq=False)
+@record(frozen=False, eq=False)
 class CpuBackend:
     """Compiles kernels with LLVM and runs them on this machine's cores.
 
@@ -128,7 +128,7 @@ class CpuExecutable:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _NoRows:
     """A launch on no rows at all: nothing is run, but a launch that would draw random numbers counts."""
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 from ebb.backends.backend import Backend
 from ebb.backends.cpu import cpu_backend
 from ebb.backends.reference import reference_backend
 from ebb.errors import BackendError
+from ebb.records import record
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
 
@@ -22,7 +22,7 @@ BACKENDS: Mapping[str, tuple[Callable[..., Backend], tuple[str, ...]]] = {
 }
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class _Selection:
     """The one piece of state here: what ``set_backend`` chose last, None before the first use."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -11,10 +10,11 @@ import llvmlite.binding as llvm
 
 from ebb.backends.llvm.hooks import CPU, Hooks
 from ebb.errors import BackendError
+from ebb.records import record
 from ebb.runtime.errors import NoMachineCode
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class Target:
     """A machine to compile for.
 

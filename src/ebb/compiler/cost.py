@@ -7,12 +7,12 @@ loop; the longer branch of a condition; a query loop as many times as a group ha
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import children
 from ebb.compiler.phases.centered import Centered, find_centered
+from ebb.records import field, record, replace
 from ebb.relations.field import Field
 from ebb.types.types import Type
 
@@ -22,7 +22,7 @@ OFFSET_BYTES = 8
 Place: TypeAlias = "tuple[Any, ...]"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Cost:
     """What one row costs, on average over the relation.
 
@@ -68,7 +68,7 @@ def group_size(index: Field) -> float:
     return index.relation.size / target.size if target.size else 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Counter:
     """Counts the code of one loop. ``read`` are the places that have been read in this turn, or before the loop."""
 

@@ -7,7 +7,6 @@ values, and raises what comes back.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -16,12 +15,15 @@ from ebb.compiler import kir
 from ebb.diagnostics.diagnostic import Diagnostic, Label
 from ebb.diagnostics.span import Span
 from ebb.errors import BoundsError, KernelAssertionError, KernelTypeError, RelationError
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
 from ebb.types.types import KeyType, Type
 
+_STOPPED = ("the launch stopped here; what it wrote for other rows stays",)
 
-@dataclass(frozen=True)
+
+@record
 class Failure(Diagnostic):
     """A kernel stopped in the middle of a launch.
 
@@ -37,10 +39,10 @@ class Failure(Diagnostic):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return ("the launch stopped here; what it wrote for other rows stays",)
+        return _STOPPED
 
 
-@dataclass(frozen=True)
+@record
 class AssertionFailed(Failure):
     """The condition of an ``assert`` is false."""
 
@@ -61,7 +63,7 @@ class AssertionFailed(Failure):
         return ('run it under ebb.set_backend("reference") with breakpoint() before this line to look at the row',)
 
 
-@dataclass(frozen=True)
+@record
 class ComponentOutOfRange(Failure):
     """An index that is computed in the kernel selects no component."""
 
@@ -81,10 +83,10 @@ class ComponentOutOfRange(Failure):
     @property
     def notes(self) -> tuple[str, ...]:
         more = ("only indices known when the kernel is compiled count from the end",) if self.index < 0 else ()
-        return (*more, *super().notes)
+        return (*more, *_STOPPED)
 
 
-@dataclass(frozen=True)
+@record
 class AffineOutside(Failure):
     """An affine access, from a key that comes from data, falls outside the grid."""
 
@@ -112,14 +114,14 @@ class AffineOutside(Failure):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return (f"the shape of '{self.grid}' is {self.shape}, periodic {self.periodic}", *super().notes)
+        return (f"the shape of '{self.grid}' is {self.shape}, periodic {self.periodic}", *_STOPPED)
 
     @property
     def hints(self) -> tuple[str, ...]:
         return ('clamp the access: ebb.affine(..., edge="clamp")', "make the grid periodic in that dimension")
 
 
-@dataclass(frozen=True)
+@record
 class UnsetKey(Failure):
     """A key is read that was never set."""
 
@@ -140,7 +142,7 @@ class UnsetKey(Failure):
         return (f"load '{self.field}' for every row before the launch, or launch on a subset of rows that have it",)
 
 
-@dataclass(frozen=True)
+@record
 class ZeroStep(Failure):
     """The step of a ``range`` is zero."""
 

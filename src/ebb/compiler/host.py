@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from types import CellType
 from typing import Any, TypeAlias
 
+from ebb.records import field, record
 from ebb.types.types import Type
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostConst:
     """A literal."""
 
     value: Any
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostCell:
     """A captured variable of an enclosing function."""
 
@@ -30,7 +30,7 @@ class HostCell:
     cell: CellType
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class HostGlobal:
     """A global variable of the module that defines the kernel."""
 
@@ -44,7 +44,7 @@ class HostGlobal:
         return hash((self.name, id(self.namespace)))
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostParameter:
     """A further parameter of the kernel, by its position after the row."""
 
@@ -52,19 +52,19 @@ class HostParameter:
     position: int
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostAttribute:
     base: HostExpr
     name: str
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostItem:
     base: HostExpr
     index: int | str | tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostOperation:
     """An operator of ``HOST_OPERATORS``, or a call of the Python function ``op`` (of ``math``, say)."""
 
@@ -72,7 +72,7 @@ class HostOperation:
     operands: tuple[HostExpr, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostAttempt:
     """An operation that rows may never come to: ``otherwise`` where Python would raise, or gives no real number."""
 
@@ -85,7 +85,7 @@ HostExpr: TypeAlias = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class HostValue:
     """A uniform: what the host evaluates, and the type as which the kernel gets it."""
 

@@ -7,13 +7,13 @@ The reference interpreter (``ebb.backends.reference``) defines what each node me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
 from typing import Any, TypeAlias
 
 from ebb.compiler.host import HostValue
 from ebb.diagnostics.span import Span
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.relations.relation import Relation
@@ -39,7 +39,7 @@ class ReduceOp(Enum):
     XOR = "^"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Local:
     """A variable of the kernel. ``uid`` is unique in the kernel: two variables may share a name."""
 
@@ -48,7 +48,7 @@ class Local:
     type: Type
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Label:
     """The name of a ``Block``, which ``Leave`` leaves."""
 
@@ -59,7 +59,7 @@ class Label:
 # ---- Expressions. ``type`` is the type of the value; operands have exactly the types that the comment names. ----
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Const:
     """``value`` is a Python bool, int or float, or for vectors and matrices nested tuples of these."""
 
@@ -68,7 +68,7 @@ class Const:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Uniform:
     """The value of ``Kernel.uniforms[index]``, evaluated by the host at each launch."""
 
@@ -77,21 +77,21 @@ class Uniform:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ReadLocal:
     local: Local
     type: Type
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ReadGlobal:
     globl: Global
     type: Type
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ReadField:
     """The whole value of ``field`` in the row ``key``. Wrap it in a ``Component`` to read a part."""
 
@@ -101,7 +101,7 @@ class ReadField:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Unary:
     """``-`` on numbers, ``~`` on integers, ``not`` on bools; elementwise."""
 
@@ -111,7 +111,7 @@ class Unary:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Binary:
     """``+ - * / // % ** & | ^ << >> min max`` on two operands of the type ``type``, elementwise.
 
@@ -127,7 +127,7 @@ class Binary:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Compare:
     """``== != < <= > >=`` on two operands of one type, elementwise; ``== !=`` also on keys. The type is bool-valued."""
 
@@ -138,7 +138,7 @@ class Compare:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Logic:
     """``and``/``or`` of two bools; the right operand is evaluated only where the left one does not decide."""
 
@@ -149,7 +149,7 @@ class Logic:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Choose:
     """``then if condition else other``; only the chosen one is evaluated."""
 
@@ -160,7 +160,7 @@ class Choose:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Cast:
     """A conversion of numbers or bools to ``type``, elementwise, same shape.
 
@@ -172,7 +172,7 @@ class Cast:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Splat:
     """A scalar in every component of the vector or matrix ``type``."""
 
@@ -181,7 +181,7 @@ class Splat:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Build:
     """A vector or matrix from its components, row-major."""
 
@@ -190,7 +190,7 @@ class Build:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Component:
     """``operand[indices]``: a component, or with one index on a matrix, a row as a vector.
 
@@ -204,7 +204,7 @@ class Component:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Call:
     """A builtin of ``ebb.types.builtins`` by name; its row there gives the signature and the meaning."""
 
@@ -214,7 +214,7 @@ class Call:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Random:
     """The next number of the row's own Philox stream: ``rand`` is uniform in [0, 1), ``randn`` standard normal.
 
@@ -226,7 +226,7 @@ class Random:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Affine:
     """The row of the grid ``type.target`` at ``floor(matrix @ [*coords(key), 1])``; periodic dimensions wrap."""
 
@@ -237,7 +237,7 @@ class Affine:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class RowId:
     """``ebb.id(key)``: the row's number when it was created, an int64."""
 
@@ -246,7 +246,7 @@ class RowId:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Coords:
     """``ebb.coords(key)``: the coordinates of a grid row, a vector of int32."""
 
@@ -255,7 +255,7 @@ class Coords:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class QuerySize:
     """The number of rows whose ``index`` field is ``key``, an int32."""
 
@@ -275,7 +275,7 @@ Expr: TypeAlias = (
 Body: TypeAlias = "tuple[Stmt, ...]"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Assign:
     """Declares ``local`` where it is its first assignment, else changes it."""
 
@@ -285,7 +285,7 @@ class Assign:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class WriteField:
     field: Field
     key: Expr
@@ -294,7 +294,7 @@ class WriteField:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ReduceField:
     """``place = place op value``, elementwise; ``-=`` has been made an ADD of the negated value."""
 
@@ -306,7 +306,7 @@ class ReduceField:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ReduceGlobal:
     globl: Global
     indices: tuple[Expr, ...]
@@ -315,7 +315,7 @@ class ReduceGlobal:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class If:
     condition: Expr
     then: Body
@@ -323,7 +323,7 @@ class If:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ForRange:
     """``for local in range(start, stop, step)``, all of ``local.type``; ``step`` 0 is an in-kernel error.
 
@@ -338,7 +338,7 @@ class ForRange:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ForQuery:
     """Runs ``body`` for each row of ``index.relation`` whose grouped key field ``index`` equals ``key``.
 
@@ -352,24 +352,24 @@ class ForQuery:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class While:
     condition: Expr
     body: Body
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Break:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Continue:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Block:
     """``body``, which a ``Leave`` of ``label`` inside it ends early: an inlined function and its returns."""
 
@@ -378,20 +378,20 @@ class Block:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Leave:
     label: Label
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Assert:
     condition: Expr
     text: str
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Print:
     """One line. ``parts`` are literal text, or a value with its format specification."""
 
@@ -399,7 +399,7 @@ class Print:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Breakpoint:
     """Stops in the debugger on the reference backend (``sys.breakpointhook``); compiled backends pass over it."""
 
@@ -412,7 +412,7 @@ Stmt: TypeAlias = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Kernel:
     """A kernel on one relation, with all of its types known and no data. ``row`` is the key of the kernel's own row."""
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from ebb.compiler import kir
 from ebb.compiler.host import describe
 from ebb.compiler.kir_walk import expressions, statements
+from ebb.records import field, record
 from ebb.relations.globals import Global
 from ebb.types.types import KeyType, Type
 
@@ -38,7 +38,7 @@ def text(kernel: kir.Kernel) -> str:
     return "\n".join(lines)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Printer:
     """The names of one kernel. ``declared`` holds the variables that the text so far has given a type."""
 

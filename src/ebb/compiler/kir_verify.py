@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any, cast
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import bodies, children, operands
+from ebb.records import field, record
 from ebb.relations.relation import Relation
 from ebb.types.builtins import BUILTINS
 from ebb.types.rules import (
@@ -46,7 +46,7 @@ def verify_kernel(kernel: kir.Kernel) -> None:
     verifier.body(kernel.body, _Flow(frozenset({kernel.row.uid})), _Targets())
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Flow:
     """The variables that surely have a value at a point of the program; None where no run comes by."""
 
@@ -73,7 +73,7 @@ def _join(flows: Iterable[_Flow]) -> _Flow:
     return _Flow(reduce(frozenset[int].intersection, reached)) if reached else _NOWHERE
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Targets:
     """Where a body may be left to: the blocks around it and the loop around it, with what was assigned at each exit."""
 
@@ -88,7 +88,7 @@ class _Targets:
         return _Targets({**self.blocks, label.uid: exits}, self.breaks, self.continues)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Verifier:
     kernel: kir.Kernel
     locals: dict[int, kir.Local]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 from ebb.compiler import kir
 from ebb.compiler.kir import Body, Expr, Stmt
+from ebb.records import replace
 from ebb.relations.field import Field
 
 

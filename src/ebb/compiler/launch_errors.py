@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.types.types import KeyType, Type
 
 
-@dataclass(frozen=True)
+@record
 class NotRows(Diagnostic):
     """The first argument of a launch is neither a relation nor a subset."""
 
@@ -28,7 +28,7 @@ class NotRows(Diagnostic):
         return (f"launch it as {self.kernel}(relation, ...)",)
 
 
-@dataclass(frozen=True)
+@record
 class RowsMismatch(Diagnostic):
     """The rows of a launch are of another relation than the kernel is for."""
 
@@ -49,7 +49,7 @@ class RowsMismatch(Diagnostic):
         )
 
 
-@dataclass(frozen=True)
+@record
 class ArgumentCount(Diagnostic):
     """A launch has arguments that the kernel's signature does not take."""
 
@@ -67,7 +67,7 @@ class ArgumentCount(Diagnostic):
         return (f"its signature is {self.kernel}{self.signature}; the first argument is the rows to run on",)
 
 
-@dataclass(frozen=True)
+@record
 class ArgumentType(Diagnostic):
     """An argument of a launch is of another type than the parameter."""
 
@@ -94,7 +94,7 @@ class ArgumentType(Diagnostic):
         return (f"pass its name: '{self.value.name}'",) if isinstance(self.value, Field) else ()
 
 
-@dataclass(frozen=True)
+@record
 class UniformFailed(Diagnostic):
     """What a kernel captures has no value at this launch, or none that fits the type that the kernel uses it as."""
 
@@ -112,7 +112,7 @@ class UniformFailed(Diagnostic):
         return ("captured numbers are read, and arithmetic among them done by Python, at each launch",)
 
 
-@dataclass(frozen=True)
+@record
 class UnknownStage(Diagnostic):
     """``kernel.inspect`` was asked for a stage that there is not."""
 

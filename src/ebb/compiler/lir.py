@@ -13,10 +13,10 @@ negative number), floats to integers saturate. Keys are int64 positions; memory 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from ebb.records import record
 from ebb.types.types import ScalarType
 
 if TYPE_CHECKING:
@@ -30,50 +30,50 @@ BLOCK_ROWS = 1024
 # ---- Bindings: what the runtime puts behind a slot or an argument at each launch. ----
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class FieldData:
     field: Field
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class GroupOffsets:
     """Where each group of the grouping of ``index`` starts; one more entry than the target has rows."""
 
     index: Field
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class GroupRows:
     """The positions of the grouped rows, where the storage is not sorted by ``index``."""
 
     index: Field
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class RowOrder:
     """The identity of the row at each position of ``relation``."""
 
     relation: Relation
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class GlobalData:
     globl: Global
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Partials:
     """The partial results of the reduction number ``reduction``: one row of components a block."""
 
     reduction: int
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class LaunchPositions:
     """The positions of the rows to run on, where they are given as a list."""
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class PrintRecords:
     """Records of ``PRINT_HEADER + Program.print_words`` int64 words from ``PRINT_RECORDS`` on, behind how many prints
     there were (``PRINT_COUNTER``) and how many records there is room for (``PRINT_CAPACITY``)."""
@@ -84,13 +84,13 @@ SlotBinding: TypeAlias = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class UniformComponent:
     uniform: int
     component: int
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Extent:
     """``relation.shape[dimension]``."""
 
@@ -98,7 +98,7 @@ class Extent:
     dimension: int
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ColumnStride:
     """How many elements after a column of a field of ``relation`` the next one begins, in the layout of columns, for
     elements of ``itemsize`` bytes.
@@ -108,7 +108,7 @@ class ColumnStride:
     itemsize: int
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class BlockCount:
     """How many blocks the launch has."""
 
@@ -133,7 +133,7 @@ class Access(Enum):
     WRITE = "write"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Slot:
     """A buffer of ``type``. No two slots of a program overlap."""
 
@@ -143,7 +143,7 @@ class Slot:
     binding: SlotBinding
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Argument:
     """A scalar that is the same for all rows of a launch."""
 
@@ -152,7 +152,7 @@ class Argument:
     binding: ArgumentBinding
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Temp:
     """The result of one operation; defined once."""
 
@@ -160,7 +160,7 @@ class Temp:
     type: ScalarType
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Literal:
     value: Any
     type: ScalarType
@@ -169,7 +169,7 @@ class Literal:
 Value: TypeAlias = Temp | Literal
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Var:
     """A private array of ``size`` scalars, zero where it is declared."""
 
@@ -179,7 +179,7 @@ class Var:
     size: int
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Label:
     number: int
     name: str
@@ -188,7 +188,7 @@ class Label:
 # ---- Operations: pure but for what they read. ----
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Unary:
     """``-`` of a number, ``~`` of an integer, ``not`` of a bool."""
 
@@ -196,7 +196,7 @@ class Unary:
     operand: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Binary:
     """``+ - * / // % & | ^ << >> min max`` of two values of one type; on bools ``& | ^``."""
 
@@ -205,7 +205,7 @@ class Binary:
     right: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Compare:
     """``== != < <= > >=`` of two values of one type, a bool."""
 
@@ -214,7 +214,7 @@ class Compare:
     right: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Select:
     """``then`` or ``other``; both are values already."""
 
@@ -223,14 +223,14 @@ class Select:
     other: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Convert:
     """``operand`` as the type of the temporary that is defined."""
 
     operand: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Math:
     """A function of ``MATH`` of values of one type, which is that of the result."""
 
@@ -238,19 +238,19 @@ class Math:
     operands: tuple[Value, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Load:
     slot: Slot
     index: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class LoadVar:
     var: Var
     index: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class LoadArgument:
     argument: Argument
 
@@ -274,34 +274,34 @@ MATH: Mapping[str, int] = {
 Body: TypeAlias = "tuple[Stmt, ...]"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Let:
     temp: Temp
     operation: Operation
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Declare:
     """``var`` comes into being and is zero."""
 
     var: Var
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class StoreVar:
     var: Var
     index: Value
     value: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Store:
     slot: Slot
     index: Value
     value: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Accumulate:
     """``var[index] = var[index] op value``, in any order and grouping of the values that a block accumulates."""
 
@@ -311,14 +311,14 @@ class Accumulate:
     value: Value
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class If:
     condition: Value
     then: Body
     orelse: Body
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class For:
     """``for counter in range(start, stop)``."""
 
@@ -328,7 +328,7 @@ class For:
     body: Body
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class While:
     """Runs ``head``, leaves if ``condition``, which it computed, is false, runs ``body``, and so on."""
 
@@ -337,7 +337,7 @@ class While:
     body: Body
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Block:
     """``body``, which ``Leave`` of ``label`` ends."""
 
@@ -345,7 +345,7 @@ class Block:
     body: Body
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Leave:
     label: Label
 
@@ -357,7 +357,7 @@ class Rows(Enum):
     IN_ORDER = "in order"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class RowLoop:
     """``body`` for each row of the block. On a CPU it is a loop, on a GPU the thread.
 
@@ -369,7 +369,7 @@ class RowLoop:
     body: Body
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Fail:
     """The launch has failed at ``Program.sites[site]`` in the row at ``position``; ``payload`` says how."""
 
@@ -378,7 +378,7 @@ class Fail:
     payload: tuple[Value, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Print:
     """A record for ``Program.prints[number]``: the row's position and the values, in their own types."""
 
@@ -430,7 +430,7 @@ PRINT_HEADER = 2
 """The words of a print record before its values: the number of the print and the row's position."""
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Program:
     """What runs at a launch: ``block`` for each block, then ``finish`` once.
 

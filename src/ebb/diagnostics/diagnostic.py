@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from ebb.diagnostics.span import Span
+from ebb.records import record
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Label:
     """A stretch of source and what to know about it, printed under it."""
 
@@ -16,7 +16,7 @@ class Label:
     text: str
 
 
-@dataclass(frozen=True)
+@record
 class Diagnostic:
     """The base of all kinds of error. A kind sets ``code``, stores facts and computes its texts from them.
 

@@ -21,10 +21,10 @@ import os
 import textwrap
 import unicodedata
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from ebb.diagnostics.diagnostic import Diagnostic, Label
 from ebb.diagnostics.span import Source, Span
+from ebb.records import record
 
 COLUMNS = 100
 """Notes, hints and labels are wrapped at about this many columns."""
@@ -34,7 +34,7 @@ LONG_SPAN = 5
 """A span of more lines than this shows its first two and its last."""
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Mark:
     """The part of a label on one line, in columns of the expanded line. ``text`` stands at its last line only."""
 

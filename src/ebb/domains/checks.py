@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from ebb.domains.io.errors import (
 )
 from ebb.domains.topology import faces_of_tetrahedra
 from ebb.errors import MeshFormatError
+from ebb.records import replace
 
 # An element counts as degenerate when its volume (area) is below this share of the cube (square) of its longest
 # edge: there, double precision no longer tells its sign.

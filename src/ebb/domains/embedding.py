@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy.typing as npt
 
 from ebb.domains.io.data import Floats, Integers
 from ebb.domains.topology import rank_in
+from ebb.records import record
 
 # Pairs of a point and a candidate that are looked at in one step, so that memory stays within some 100 MB.
 _CHUNK = 400_000
@@ -18,7 +18,7 @@ _CHUNK = 400_000
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class _Bins:
     """A grid of cubes over the mesh; bin b holds the tetrahedra ``cells[starts[b] : starts[b + 1]]``."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -12,13 +10,14 @@ from ebb.domains.io.data import Floats, Integers, MeshData
 from ebb.domains.io.errors import OpenSurface
 from ebb.domains.topology import rank_in, used_points
 from ebb.errors import MeshFormatError
+from ebb.records import record
 
 # The lines along which the surface is cut are moved by this share of a cube, so that they miss the points and edges
 # of surfaces that are aligned with the lattice. Two incommensurable numbers, far below any feature.
 _SHIFT = (1.2345e-7 * 2**0.5, 1.2345e-7 * 3**0.5)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class Lattice:
     """Cubes of one size: ``shape`` of them, from the corner ``origin``, with edges of the length ``spacing``."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Literal
 
@@ -10,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ebb.domains.io.data import Floats, Integers
+from ebb.records import record
 
 # The faces of a tetrahedron of positive volume, each with its normal outwards; the i-th is opposite corner i.
 OUTWARD_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class DirectedEdges:
     """The edges of a mesh, each in both directions, sorted by tail and then by head.
 
@@ -84,7 +84,7 @@ def sorted_distinct(values: Integers) -> Integers:
     return ordered[keep]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class Faces:
     """The triangles of a tetrahedral mesh.
 

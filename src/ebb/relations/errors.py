@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import ClassVar, Literal
 
 from ebb.diagnostics.diagnostic import Diagnostic
+from ebb.records import record
 
 Row = tuple[int, ...]
 """The row that is at fault, as indices into arrays of the relation's shape."""
@@ -23,7 +23,7 @@ def row_text(row: Row) -> str:
     return str(row[0]) if len(row) == 1 else str(row)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class BadName(Diagnostic):
     """A name that cannot stand after a dot."""
 
@@ -40,7 +40,7 @@ class BadName(Diagnostic):
         return ("a name is a Python identifier, no keyword, and does not start with two underscores",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class NameTaken(Diagnostic):
     """A second thing of one name."""
 
@@ -58,7 +58,7 @@ class NameTaken(Diagnostic):
         return ("fields, members, subsets and the relation's own attributes share one set of names",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class UnknownName(Diagnostic):
     """A name that is nothing of the relation, or nothing of the kind that is needed."""
 
@@ -82,7 +82,7 @@ class UnknownName(Diagnostic):
         return (f"write '{close}'",) if close else ()
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ForeignField(Diagnostic):
     """A field of another relation where one of this relation is needed."""
 
@@ -103,7 +103,7 @@ class ForeignField(Diagnostic):
         return (f"to load its values row by row, load {self.field}.to_numpy()",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class BadExtent(Diagnostic):
     """Rows that a relation cannot have."""
 
@@ -120,7 +120,7 @@ class BadExtent(Diagnostic):
         return ("give size=n, or shape= with one to three extents and periodic= with as many bools",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class WrongShape(Diagnostic):
     """A value of a shape that does not fit. ``allowed`` names each shape that would."""
 
@@ -144,7 +144,7 @@ class WrongShape(Diagnostic):
         return (f"its type is {self.type}", f"it takes {shapes}")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class WrongKind(Diagnostic):
     """Values of a kind that would lose data, or that are no numbers."""
 
@@ -173,7 +173,7 @@ class WrongKind(Diagnostic):
         return (self.hint,) if self.hint else ()
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ValueOutOfRange(Diagnostic):
     """A number that the type cannot hold."""
 
@@ -189,7 +189,7 @@ class ValueOutOfRange(Diagnostic):
         return f"'{self.target}' is of {self.type}, which cannot hold {self.value}{where}"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class KeyOutOfRange(Diagnostic):
     """A key that refers to no row."""
 
@@ -214,7 +214,7 @@ class KeyOutOfRange(Diagnostic):
                 return (f"'{self.relation}' has the shape {shape}; indices count from 0, negative ones are no rows",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class TypeMismatch(Diagnostic):
     """Two fields whose types differ, or cannot be converted."""
 
@@ -235,7 +235,7 @@ class TypeMismatch(Diagnostic):
         return (f"'{self.left}' is of {self.left_type}", f"'{self.right}' is of {self.right_type}")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class NotGroupable(Diagnostic):
     """A field that is no single key."""
 
@@ -255,7 +255,7 @@ class NotGroupable(Diagnostic):
         return ("rows are grouped by a field that holds one key", f"the key fields of '{self.relation}': {listed}")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ViewOpen(Diagnostic):
     """The runtime would use memory that the host is writing."""
 
@@ -275,7 +275,7 @@ class ViewOpen(Diagnostic):
         return (f"end the block 'with {self.field}.view(write=True) as ...:' first",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class KeysNotWritable(Diagnostic):
     """A writable view of keys."""
 
@@ -295,7 +295,7 @@ class KeysNotWritable(Diagnostic):
         return (f"use {self.field}.load(...), which takes row numbers and checks them",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class BadSubset(Diagnostic):
     """A selection of rows that cannot be understood."""
 
@@ -312,7 +312,7 @@ class BadSubset(Diagnostic):
         return ("select by slices (np.s_[1:-1, :]), a list of those, a boolean array of the relation's shape, or rows",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class SubsetOutOfRange(Diagnostic):
     """A selection that names a row which does not exist."""
 
@@ -331,7 +331,7 @@ class SubsetOutOfRange(Diagnostic):
         return (f"the relation has the shape {self.shape}; rows count from 0",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class AttributeAssigned(Diagnostic):
     """An assignment to an attribute of a relation on the host."""
 
@@ -355,7 +355,7 @@ class AttributeAssigned(Diagnostic):
                 return ()
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class NotNumbers(Diagnostic):
     """A global or constant of keys."""
 
@@ -372,7 +372,7 @@ class NotNumbers(Diagnostic):
         return ("keep keys in a field of a relation",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class UnknownReducer(Diagnostic):
     """A reducer for an operator that is no reduction."""
 
@@ -391,7 +391,7 @@ class UnknownReducer(Diagnostic):
         return (f"the reductions are {' '.join(self.operators)}; 'x -= e' is the reduction '+' of -e",)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class MemberNotAFunction(Diagnostic):
     """A member that is no function."""
 

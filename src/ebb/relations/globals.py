@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ebb.errors import RelationError
+from ebb.records import record
 from ebb.relations.errors import NotNumbers
 from ebb.relations.loading import Place, converted
 from ebb.runtime.buffer import Array, Buffer
@@ -61,7 +61,7 @@ class Global:
         return f"Global({self.type!r}, {self.data.tolist()!r})"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Constant:
     """A number of a fixed type. ``value`` is a Python number or bool, or nested tuples of these."""
 

@@ -8,7 +8,6 @@ NumPy users expect of a float64 array that goes into a float32 one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ebb.errors import RelationError
+from ebb.records import record
 from ebb.relations.errors import KeyOutOfRange, Row, ValueOutOfRange, WrongKind, WrongShape
 from ebb.runtime.buffer import Array
 from ebb.types.types import KeyType, Kind, ScalarType, Type
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Masked: TypeAlias = np.ma.MaskedArray[Any, np.dtype[Any]]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Place:
     """What a value is loaded into: its name for messages, its type, and the shape of its rows (() for a global)."""
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from ebb.records import record
 from ebb.relations.field import Field
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Reach:
     """The ways in which one kernel uses one field.
 

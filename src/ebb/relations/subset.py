@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from math import prod
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast, runtime_checkable
 
 import numpy as np
 
 from ebb.errors import RelationError
+from ebb.records import record
 from ebb.relations.errors import BadSubset, SubsetOutOfRange
 from ebb.relations.storage import Rows
 from ebb.runtime.buffer import Array
@@ -21,7 +21,7 @@ MAX_BOXES = 64
 """Where overlapping boxes fall into more disjoint ones than this, the subset lists its rows instead."""
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Box:
     """The rows of a grid from ``start`` up to ``stop``, exclusive, in each dimension."""
 

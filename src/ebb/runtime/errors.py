@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic
+from ebb.records import record
 
 _LATER = ("opencl", "cuda")
 """Backends that the contract names and this version does not have."""
 
 
-@dataclass(frozen=True)
+@record
 class UnknownBackend(Diagnostic):
     """There is no backend of that name."""
 
@@ -35,7 +35,7 @@ class UnknownBackend(Diagnostic):
         return (f"did you mean '{close[0]}'?",) if close else (f'choose one: ebb.set_backend("{self.known[0]}")',)
 
 
-@dataclass(frozen=True)
+@record
 class UnknownBackendOption(Diagnostic):
     """A backend does not take an option."""
 
@@ -60,7 +60,7 @@ class UnknownBackendOption(Diagnostic):
         return (f"did you mean '{close[0]}'?",) if close else ("leave it out",)
 
 
-@dataclass(frozen=True)
+@record
 class BadThreadCount(Diagnostic):
     """The number of threads is no whole number from 1 on."""
 
@@ -82,7 +82,7 @@ class BadThreadCount(Diagnostic):
         return ("leave it out to use all cores",)
 
 
-@dataclass(frozen=True)
+@record
 class NoMachineCode(Diagnostic):
     """LLVM cannot generate code for this machine."""
 
@@ -102,7 +102,7 @@ class NoMachineCode(Diagnostic):
         )
 
 
-@dataclass(frozen=True)
+@record
 class VariablesTooLarge(Diagnostic):
     """The variables of a kernel are too large for the stack of a thread."""
 

@@ -7,11 +7,11 @@ Source: J. Salmon, M. Moraes, R. Dror, D. Shaw, "Parallel random numbers: as eas
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from ebb.records import record
 from ebb.types.types import ScalarType, float32
 
 Words: TypeAlias = tuple[Any, Any, Any, Any]
@@ -24,7 +24,7 @@ WEYL = (0x9E3779B9, 0xBB67AE85)
 _MASK = 0xFFFFFFFF
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class LaunchKey:
     """What all rows of one launch share: the seed (64 bits) and the number of the launch (32 bits) since it was set."""
 
@@ -32,7 +32,7 @@ class LaunchKey:
     launch: int
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class _Generator:
     """The one piece of state: the seed, and how many launches have drawn numbers since it was set."""
 

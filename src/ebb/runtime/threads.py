@@ -11,12 +11,12 @@ import sysconfig
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from ebb.errors import BackendError
+from ebb.records import field, record
 from ebb.runtime.errors import BadThreadCount
 
 MOST_THREADS = 1024
@@ -25,7 +25,7 @@ MOST_THREADS = 1024
 _ENVIRONMENT = "EBB_NUM_THREADS"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class OpenMP:
     """An OpenMP runtime that has been loaded: its path and the addresses of its entries."""
 
@@ -35,7 +35,7 @@ class OpenMP:
     thread_count: int
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class _Process:
     """What a process must know of its threads: they do not survive a fork, and what they held stays held."""
 

@@ -11,12 +11,12 @@ import builtins
 import math
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NoReturn
 
 import numpy as np
 
+from ebb.records import record
 from ebb.types import arithmetic, signatures, small_matrix
 from ebb.types.rules import lone_type, weak_element
 from ebb.types.signatures import Complaint, Rule, Signature
@@ -35,7 +35,7 @@ from ebb.types.types import (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class StaticValue:
     """A value known when the kernel is compiled: a Python number, or nested tuples of them, and its type."""
 
@@ -43,7 +43,7 @@ class StaticValue:
     type: Type
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class Builtin:
     """A builtin function of kernels.
 
@@ -109,7 +109,7 @@ class Builtin:
         return f"<ebb builtin {self.name}>"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class Form:
     """A builtin that needs a row, so that it works in kernels only: ``id``, ``coords``, ``rand``, ``randn``."""
 

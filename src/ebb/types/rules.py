@@ -7,9 +7,9 @@ cast it to the element type and to repeat it in every component.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 
+from ebb.records import record
 from ebb.types.types import (
     Element,
     KeyType,
@@ -64,7 +64,7 @@ _HINTS: dict[Reason, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Mismatch:
     """Why ``op`` does not take ``left`` (and ``right``, None where it has one operand)."""
 
@@ -85,7 +85,7 @@ class Mismatch:
         return _HINTS.get(self.reason)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class OperatorTypes:
     """The types to convert the operands to, and the type of the result.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import reduce
 from typing import TypeAlias
 
+from ebb.records import record
 from ebb.types import small_matrix
 from ebb.types.rules import (
     Mismatch,
@@ -34,7 +34,7 @@ from ebb.types.types import (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Signature:
     """The types to convert the arguments to, and the type of the result.
 
@@ -45,7 +45,7 @@ class Signature:
     result: Type
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Complaint:
     """Why a builtin does not take its arguments; ``argument`` counts from 0, None where all are concerned."""
 

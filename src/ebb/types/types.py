@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from numbers import Integral
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
+
+from ebb.records import record
 
 
 class Kind(Enum):
@@ -30,7 +31,7 @@ class KeyTarget(Protocol):
     def key_dtype(self) -> np.dtype[Any]: ...
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ScalarType:
     """A machine number, named as in NumPy. Calling it on the host converts, as in NumPy."""
 
@@ -61,7 +62,7 @@ class ScalarType:
         return self.name
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class KeyType:
     """An opaque reference to a row of ``target``. Two key types are equal when they refer to one relation."""
 
@@ -96,7 +97,7 @@ class KeyType:
 Element: TypeAlias = ScalarType | KeyType
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class VectorType:
     """``n`` scalars or keys in a row. Calling it on the host gives a NumPy array."""
 
@@ -122,7 +123,7 @@ class VectorType:
         return f"vector({self.scalar!r}, {self.n})"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class MatrixType:
     """``rows`` x ``cols`` scalars or keys, row-major. Calling it on the host gives a NumPy array."""
 

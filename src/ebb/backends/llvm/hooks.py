@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from ebb.records import record
 
 _INTRINSICS = (
     "sqrt", "exp", "exp2", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
@@ -12,7 +13,7 @@ _INTRINSICS = (
 _LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot", "erf", "erfc", "lgamma")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Hooks:
     """The names and attributes that one kind of target wants.
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from ebb.compiler import lir
+from ebb.records import record
 from ebb.runtime.cpu import HEADER_WORDS
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Layout:
     """The words of one program's argument block: where the slots and the arguments begin, and how many there are."""
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from ebb.backends.backend import CheckedKernel
 from ebb.backends.reference.interpreter import run
 from ebb.compiler import kir
+from ebb.records import record
 from ebb.relations.subset import RowSet
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class ReferenceBound:
     """A kernel and the rows that it runs on; the interpreter looks everything else up as it goes."""
 
@@ -23,7 +23,7 @@ class ReferenceBound:
         run(self.kernel, self.rows, uniforms)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class ReferenceExecutable:
     """A kernel as the interpreter takes it, which is as it is."""
 
@@ -39,7 +39,7 @@ class ReferenceExecutable:
         return None
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ReferenceBackend:
     """Runs kernels in plain Python. ``breakpoint()`` works in them."""
 

@@ -7,7 +7,6 @@ import linecache
 import os
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from ebb.compiler import kir
 from ebb.compiler.failures import row_name
 from ebb.diagnostics.span import Source, Span
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
 from ebb.types.types import KeyType
@@ -22,7 +22,7 @@ from ebb.types.types import KeyType
 _HOOK = "__breakpointhook__"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class RowView:
     """A key as the debugger shows it. Its attributes are the values of the fields in that row."""
 

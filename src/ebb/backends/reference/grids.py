@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import lcm
 
 import numpy as np
 
 from ebb.compiler import kir
+from ebb.records import record
 from ebb.relations.relation import Relation
 from ebb.types.types import KeyType
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class AffineMap:
     """The map of an ``Affine`` node.
 

@@ -7,7 +7,6 @@ position of its row. Values are never changed in place, so that two names never 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,6 +16,7 @@ from ebb.backends.reference.grids import AffineMap
 from ebb.compiler import failures, kir
 from ebb.compiler.kir_walk import draws
 from ebb.compiler.print_format import format_value
+from ebb.records import field, record
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.relations.relation import Relation
@@ -56,7 +56,7 @@ def run(kernel: kir.Kernel, rows: RowSet, uniforms: tuple[Any, ...], order: Sequ
     launch.finish()
 
 
-@dataclass(slots=True, eq=False)
+@record(frozen=False, eq=False)
 class Launch:
     """What the rows of one launch share.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 from ebb.compiler import kir
@@ -38,6 +37,7 @@ from ebb.compiler.elaborate.values import BoundMember, Poison, Query, Sequence, 
 from ebb.compiler.phases.errors import GlobalAssigned
 from ebb.diagnostics.span import Span
 from ebb.errors import PhaseError
+from ebb.records import replace
 from ebb.relations.globals import Global
 from ebb.types.rules import reduce_mismatch
 from ebb.types.types import Type, as_type, is_type, uint32, uint64

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from types import CodeType
 from typing import Any
 
@@ -30,6 +29,7 @@ from ebb.compiler.elaborate.values import (
 )
 from ebb.compiler.host import HostConst
 from ebb.diagnostics.span import Span
+from ebb.records import replace
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.relations.member import Member

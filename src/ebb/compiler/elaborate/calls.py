@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import FunctionType
 from typing import Any
 
@@ -52,6 +51,7 @@ from ebb.compiler.elaborate.values import (
 )
 from ebb.compiler.host import HostConst, HostOperation
 from ebb.diagnostics.span import Span
+from ebb.records import record
 from ebb.relations.member import Member
 from ebb.relations.relation import Relation
 from ebb.types.builtins import BUILTINS, Builtin, Form, from_python
@@ -91,7 +91,7 @@ _ELSEWHERE: Mapping[Any, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Arguments:
     """The arguments of a call, evaluated, and where the whole call and each argument stand."""
 
@@ -269,7 +269,7 @@ def _beside(value: Operand, known: list[Operand]) -> Element | None:
     return common_scalar([*alike]) if alike else None
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _OnPythonNumbers:
     """A builtin as a function of Python numbers, for what the host computes at each launch."""
 

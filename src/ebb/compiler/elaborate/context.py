@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -47,6 +46,7 @@ from ebb.compiler.kir_walk import children
 from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.diagnostics.span import Span
 from ebb.errors import EbbError
+from ebb.records import record, replace
 from ebb.relations.relation import Relation
 from ebb.types.types import ScalarType, Type
 
@@ -54,7 +54,7 @@ from ebb.types.types import ScalarType, Type
 _COMMENT = re.compile(r"\s+#[^'\"]*$")
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Rules:
     """How each kind of Python node is elaborated."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from ebb.compiler import kir
@@ -18,10 +17,11 @@ from ebb.compiler.elaborate.statements import STATEMENTS
 from ebb.compiler.elaborate.values import Static, Typed
 from ebb.compiler.host import HostConst, HostParameter
 from ebb.errors import KernelSyntaxError
+from ebb.records import record
 from ebb.relations.relation import Relation
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Elaborated:
     """A kernel in KIR, and what it assumes of the host: it is right as long as all guards hold."""
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic, Label
 from ebb.diagnostics.span import Span
 from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError
+from ebb.records import record
 
 
-@dataclass(frozen=True)
+@record
 class KernelDiagnostic(Diagnostic):
     """An error at a place of a kernel. ``exception`` is what it is raised as when it is the first of a kernel."""
 
@@ -28,7 +28,7 @@ class KernelDiagnostic(Diagnostic):
         return Label(self.span, self.label)
 
 
-@dataclass(frozen=True)
+@record
 class SourceNotFound(Diagnostic):
     """Python keeps no source of a function."""
 
@@ -55,7 +55,7 @@ class SourceNotFound(Diagnostic):
         )
 
 
-@dataclass(frozen=True)
+@record
 class NotAFunction(Diagnostic):
     """A decorator was given something that is no function written with ``def``."""
 
@@ -79,7 +79,7 @@ class NotAFunction(Diagnostic):
         return f"a {type(self.value).__name__}"
 
 
-@dataclass(frozen=True)
+@record
 class SourceChanged(Diagnostic):
     """The source that Python keeps does not hold the function where Python says that it is."""
 
@@ -103,7 +103,7 @@ class SourceChanged(Diagnostic):
         return ("restart Python if the file was edited after it was imported",)
 
 
-@dataclass(frozen=True)
+@record
 class UnresolvedAnnotation(KernelDiagnostic):
     """An annotation that is kept as text cannot be evaluated."""
 
@@ -127,7 +127,7 @@ class UnresolvedAnnotation(KernelDiagnostic):
         )
 
 
-@dataclass(frozen=True)
+@record
 class BadAnnotation(KernelDiagnostic):
     """An annotation is not what may stand there."""
 
@@ -157,7 +157,7 @@ _EBB_TYPES = {
 }
 
 
-@dataclass(frozen=True)
+@record
 class NoRowParameter(KernelDiagnostic):
     """A kernel without parameters."""
 

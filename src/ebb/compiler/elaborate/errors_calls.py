@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from ebb.compiler.elaborate.errors import KernelDiagnostic
 from ebb.compiler.elaborate.errors_names import nearest
+from ebb.records import record
 
 
-@dataclass(frozen=True)
+@record
 class BuiltinArguments(KernelDiagnostic):
     """A builtin does not take these arguments."""
 
@@ -27,7 +27,7 @@ class BuiltinArguments(KernelDiagnostic):
         return () if self.advice is None else (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class CallArguments(KernelDiagnostic):
     """A func or member does not take these arguments."""
 
@@ -51,7 +51,7 @@ class CallArguments(KernelDiagnostic):
         return () if self.unknown is None else nearest(self.unknown, self.parameters)
 
 
-@dataclass(frozen=True)
+@record
 class NoValue(KernelDiagnostic):
     """The result of a function that returns nothing is used."""
 
@@ -67,7 +67,7 @@ class NoValue(KernelDiagnostic):
         return ("call it in a statement of its own, or return a value from it",)
 
 
-@dataclass(frozen=True)
+@record
 class MayEndWithoutValue(KernelDiagnostic):
     """A function returns a value on some ways and ends without one on others."""
 
@@ -83,7 +83,7 @@ class MayEndWithoutValue(KernelDiagnostic):
         return ("end every way with 'return value'",)
 
 
-@dataclass(frozen=True)
+@record
 class NotIterable(KernelDiagnostic):
     """A ``for`` over something that kernels do not loop over."""
 
@@ -100,7 +100,7 @@ class NotIterable(KernelDiagnostic):
         return (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class UnpackCount(KernelDiagnostic):
     """The numbers of names and of values differ."""
 
@@ -113,7 +113,7 @@ class UnpackCount(KernelDiagnostic):
         return f"{self.values} cannot be unpacked into {self.names} name{'' if self.names == 1 else 's'}"
 
 
-@dataclass(frozen=True)
+@record
 class NotGrouped(KernelDiagnostic):
     """``ebb.where`` on a field that is not grouped."""
 
@@ -135,7 +135,7 @@ class NotGrouped(KernelDiagnostic):
         return (f'before the launch: {self.relation}.group_by("{self.name}")',)
 
 
-@dataclass(frozen=True)
+@record
 class WhereArguments(KernelDiagnostic):
     """The arguments of ``ebb.where`` are no key field and key."""
 
@@ -151,7 +151,7 @@ class WhereArguments(KernelDiagnostic):
         return ("ebb.where(edges.tail, v): the rows of 'edges' whose 'tail' is v",)
 
 
-@dataclass(frozen=True)
+@record
 class AffineArguments(KernelDiagnostic):
     """The arguments of ``ebb.affine`` do not fit."""
 
@@ -167,7 +167,7 @@ class AffineArguments(KernelDiagnostic):
         return ("ebb.affine(cells, [[1, 0, di], [0, 1, dj]], c): a row of factors and an offset for each dimension",)
 
 
-@dataclass(frozen=True)
+@record
 class KeyArgument(KernelDiagnostic):
     """``ebb.id`` or ``ebb.coords`` of something else than a key (of a grid)."""
 
@@ -181,7 +181,7 @@ class KeyArgument(KernelDiagnostic):
         return f"'ebb.{self.function}' takes {self.expected}, not {self.found}"
 
 
-@dataclass(frozen=True)
+@record
 class NoSetter(KernelDiagnostic):
     """A member is changed in a way that it has no function for."""
 
@@ -201,7 +201,7 @@ class NoSetter(KernelDiagnostic):
         return (f"define one: @{self.relation}.{self.member}.{decorator}, a function of the key and the value",)
 
 
-@dataclass(frozen=True)
+@record
 class RandomType(KernelDiagnostic):
     """``ebb.rand`` of something else than a float type."""
 
@@ -213,7 +213,7 @@ class RandomType(KernelDiagnostic):
         return f"'ebb.{self.function}' takes nothing, ebb.float32 or ebb.float64"
 
 
-@dataclass(frozen=True)
+@record
 class RangeArguments(KernelDiagnostic):
     """The arguments of ``range`` are no one to three integers."""
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import ClassVar
 
 from ebb.compiler.elaborate.errors import KernelDiagnostic
 from ebb.diagnostics.diagnostic import Label
 from ebb.diagnostics.span import Span
+from ebb.records import record
 
 
 def nearest(name: str, known: tuple[str, ...]) -> tuple[str, ...]:
@@ -17,7 +17,7 @@ def nearest(name: str, known: tuple[str, ...]) -> tuple[str, ...]:
     return (f"did you mean '{close[0]}'?",) if close else ()
 
 
-@dataclass(frozen=True)
+@record
 class UndefinedName(KernelDiagnostic):
     """A name that is nowhere defined."""
 
@@ -34,7 +34,7 @@ class UndefinedName(KernelDiagnostic):
         return nearest(self.name, self.known)
 
 
-@dataclass(frozen=True)
+@record
 class MaybeUnset(KernelDiagnostic):
     """A local that has no value on some way to where it is read."""
 
@@ -60,7 +60,7 @@ class MaybeUnset(KernelDiagnostic):
         return (f"assign '{self.name}' on every way: give it a first value before the branch or loop",)
 
 
-@dataclass(frozen=True)
+@record
 class ReadBeforeAssignment(KernelDiagnostic):
     """A local that is read before any assignment to it."""
 
@@ -90,7 +90,7 @@ class ReadBeforeAssignment(KernelDiagnostic):
         return ("give the local another name",)
 
 
-@dataclass(frozen=True)
+@record
 class CapturedAssigned(KernelDiagnostic):
     """An assignment to a name that the kernel captures."""
 
@@ -108,7 +108,7 @@ class CapturedAssigned(KernelDiagnostic):
         return (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class NotAssignable(KernelDiagnostic):
     """Something that is no place stands on the left of an assignment."""
 
@@ -125,7 +125,7 @@ class NotAssignable(KernelDiagnostic):
         return (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class NoMeaning(KernelDiagnostic):
     """A Python object that means nothing in a kernel, or not where it stands."""
 
@@ -143,7 +143,7 @@ class NoMeaning(KernelDiagnostic):
         return (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class CaptureFailed(KernelDiagnostic):
     """Evaluating a captured expression raises."""
 
@@ -164,7 +164,7 @@ class CaptureFailed(KernelDiagnostic):
         return ("arithmetic among Python numbers is done by Python, when the kernel is launched",)
 
 
-@dataclass(frozen=True)
+@record
 class UnknownAttribute(KernelDiagnostic):
     """A key, a vector or a captured object has no such attribute."""
 
@@ -188,7 +188,7 @@ class UnknownAttribute(KernelDiagnostic):
         return close if close or self.advice is None else (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class UnknownFunction(KernelDiagnostic):
     """A call of something that kernels cannot call."""
 
@@ -206,7 +206,7 @@ class UnknownFunction(KernelDiagnostic):
         return (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class Recursion(KernelDiagnostic):
     """A function that, in the end, calls itself."""
 
@@ -226,7 +226,7 @@ class Recursion(KernelDiagnostic):
         return ("write it as a loop",)
 
 
-@dataclass(frozen=True)
+@record
 class CompileTimeOnly(KernelDiagnostic):
     """A local that would hold something that is no value, and is assigned more than once."""
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from ebb.compiler.elaborate.errors import KernelDiagnostic
 from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.errors import EbbError, KernelSyntaxError
+from ebb.records import record
 
 
-@dataclass(frozen=True)
+@record
 class RejectedSyntax(KernelDiagnostic):
     """A construct of Python that kernels do not have."""
 
@@ -28,7 +28,7 @@ class RejectedSyntax(KernelDiagnostic):
         return (self.alternative,)
 
 
-@dataclass(frozen=True)
+@record
 class UselessExpression(KernelDiagnostic):
     """A statement that is only an expression."""
 
@@ -48,7 +48,7 @@ class UselessExpression(KernelDiagnostic):
         return ("assign it, put parentheses around an expression of several lines, or remove it",)
 
 
-@dataclass(frozen=True)
+@record
 class TooDeep(Diagnostic):
     """Expressions or statements that are nested deeper than the compiler can follow."""
 
@@ -71,7 +71,7 @@ class TooDeep(Diagnostic):
         )
 
 
-@dataclass(frozen=True)
+@record
 class DroppedResult(KernelDiagnostic):
     """A call for its value whose value is not used."""
 
@@ -88,7 +88,7 @@ class DroppedResult(KernelDiagnostic):
         return ("assign it, or remove the call",)
 
 
-@dataclass(frozen=True)
+@record
 class KernelReturnsValue(KernelDiagnostic):
     """``return value`` in a kernel."""
 
@@ -109,7 +109,7 @@ class KernelReturnsValue(KernelDiagnostic):
         return ("store the value in a field, or reduce it into an ebb.Global",)
 
 
-@dataclass(frozen=True)
+@record
 class StringValue(KernelDiagnostic):
     """A string where a value is expected."""
 
@@ -126,7 +126,7 @@ class StringValue(KernelDiagnostic):
         return ("a string names a field, as in c['pos'], or is the text of 'print' or 'assert'",)
 
 
-@dataclass(frozen=True)
+@record
 class UnknownConstant(KernelDiagnostic):
     """``None``, ``...``, bytes or a complex number."""
 
@@ -143,7 +143,7 @@ class UnknownConstant(KernelDiagnostic):
         return ("values are bools, integers, floats, vectors and matrices of these, and keys",)
 
 
-@dataclass(frozen=True)
+@record
 class AssertText(KernelDiagnostic):
     """The message of an ``assert`` is no literal text."""
 
@@ -159,7 +159,7 @@ class AssertText(KernelDiagnostic):
         return ("print the values with print(f'...') before the assert",)
 
 
-@dataclass(frozen=True)
+@record
 class PrintForm(KernelDiagnostic):
     """Something in a ``print`` that cannot be printed."""
 

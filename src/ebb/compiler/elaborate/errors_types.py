@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from ebb.compiler.elaborate.errors import KernelDiagnostic
 from ebb.diagnostics.diagnostic import Label
 from ebb.diagnostics.span import Span
+from ebb.records import record
 from ebb.types.rules import Mismatch, castable, is_number
 from ebb.types.types import KeyType, ScalarType, Type, VectorType
 
@@ -22,7 +22,7 @@ def spelled(type_: Type) -> str:
     return f"ebb.{kind}({spelled(type_.scalar)}, {', '.join(map(str, type_.shape))})"
 
 
-@dataclass(frozen=True)
+@record
 class OperandTypes(KernelDiagnostic):
     """An operator does not take operands of these types."""
 
@@ -43,7 +43,7 @@ class OperandTypes(KernelDiagnostic):
         return () if self.mismatch.hint is None else (self.mismatch.hint,)
 
 
-@dataclass(frozen=True)
+@record
 class NoCoercion(KernelDiagnostic):
     """A value is not of the type that its place has, and does not widen to it."""
 
@@ -75,7 +75,7 @@ class NoCoercion(KernelDiagnostic):
         return ()
 
 
-@dataclass(frozen=True)
+@record
 class TypeChanged(KernelDiagnostic):
     """A local gets a value of another type than its first assignment gave it."""
 
@@ -108,7 +108,7 @@ class TypeChanged(KernelDiagnostic):
         return ("use another name for it",)
 
 
-@dataclass(frozen=True)
+@record
 class LiteralElements(KernelDiagnostic):
     """The elements of a literal make no vector or matrix."""
 
@@ -124,7 +124,7 @@ class LiteralElements(KernelDiagnostic):
         return ("a vector has scalars of one type, a matrix rows of one length: [x, y, z], [[a, b], [c, d]]",)
 
 
-@dataclass(frozen=True)
+@record
 class IndexType(KernelDiagnostic):
     """An index is no integer."""
 
@@ -140,7 +140,7 @@ class IndexType(KernelDiagnostic):
         return ("convert it: ebb.int32(i)",) if "float" in self.found else ()
 
 
-@dataclass(frozen=True)
+@record
 class IndexRange(KernelDiagnostic):
     """A constant index is beyond the end."""
 
@@ -160,7 +160,7 @@ class IndexRange(KernelDiagnostic):
         )
 
 
-@dataclass(frozen=True)
+@record
 class NotIndexable(KernelDiagnostic):
     """Something without components is indexed, or by too many indices."""
 
@@ -178,7 +178,7 @@ class NotIndexable(KernelDiagnostic):
         return () if self.advice is None else (self.advice,)
 
 
-@dataclass(frozen=True)
+@record
 class BadCast(KernelDiagnostic):
     """A cast between types that do not convert."""
 
@@ -191,7 +191,7 @@ class BadCast(KernelDiagnostic):
         return f"{spelled(self.target)}(...) {self.reason}"
 
 
-@dataclass(frozen=True)
+@record
 class NotCompileTime(KernelDiagnostic):
     """Something must be known when the kernel is compiled, and is not."""
 
@@ -207,7 +207,7 @@ class NotCompileTime(KernelDiagnostic):
         return ("known are literals, captured numbers, and the variable of a 'for' over a literal or captured tuple",)
 
 
-@dataclass(frozen=True)
+@record
 class NumberRange(KernelDiagnostic):
     """A Python number is not in the range of the type that its surroundings give it."""
 
@@ -224,7 +224,7 @@ class NumberRange(KernelDiagnostic):
         return ("use a wider type",)
 
 
-@dataclass(frozen=True)
+@record
 class ConditionType(KernelDiagnostic):
     """A condition is not one bool."""
 
@@ -246,7 +246,7 @@ class ConditionType(KernelDiagnostic):
         return () if self.hint is None else (self.hint,)
 
 
-@dataclass(frozen=True)
+@record
 class DifferentTypes(KernelDiagnostic):
     """Values that must become one have no common type: the arms of a conditional, the returns of a function."""
 
@@ -267,7 +267,7 @@ class DifferentTypes(KernelDiagnostic):
         return ("cast one of them to the type of the other",)
 
 
-@dataclass(frozen=True)
+@record
 class ReductionTypes(KernelDiagnostic):
     """A reduction that is not defined on the type of its place."""
 

@@ -7,7 +7,6 @@ on what; when it no longer holds, the kernel is elaborated anew.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -24,13 +23,14 @@ from ebb.compiler.host import (
     HostParameter,
     evaluate,
 )
+from ebb.records import record
 from ebb.types.rules import fits
 from ebb.types.types import ScalarType
 
 Reader: TypeAlias = Callable[[tuple[Any, ...]], Any]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class IdentityGuard:
     """The expression still is that very object: a relation, a field, a function."""
 
@@ -45,7 +45,7 @@ class IdentityGuard:
             return False
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class TypeGuard:
     """A number still has that Python type."""
 
@@ -60,7 +60,7 @@ class TypeGuard:
             return False
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ValueGuard:
     """A value that was needed at compile time still is that value."""
 
@@ -78,7 +78,7 @@ class ValueGuard:
             return False
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class RangeGuard:
     """A Python integer still fits the type that it was given."""
 
@@ -93,7 +93,7 @@ class RangeGuard:
             return False
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ArrayGuard:
     """A NumPy scalar or array still has that dtype and shape."""
 
@@ -110,7 +110,7 @@ class ArrayGuard:
             return False
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class StructureGuard:
     """A tuple or list still has that many elements, of those types, at every depth."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 from ebb.compiler import kir
@@ -42,6 +41,7 @@ from ebb.compiler.host import HostConst
 from ebb.compiler.kir_walk import map_bodies
 from ebb.diagnostics.span import Span
 from ebb.errors import EbbError
+from ebb.records import record, replace
 from ebb.relations.member import Member
 from ebb.types.types import bool_, int32
 
@@ -266,7 +266,7 @@ def _unreadable(ctx: Context, error: EbbError, span: Span) -> Poison:
 # ---- Returning ----
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Result:
     """Where the value of a function with several returns is kept, and how one of them gets there."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 from ebb.compiler import kir
@@ -34,6 +33,7 @@ from ebb.compiler.elaborate.errors_types import ConditionType, DifferentTypes, O
 from ebb.compiler.elaborate.values import Poison, Sequence, Typed, Value, Weak, WeakChoice, noun
 from ebb.compiler.host import HostAttempt, HostConst, HostOperation, describe
 from ebb.diagnostics.span import Span
+from ebb.records import replace
 from ebb.types.rules import (
     EQUALITIES,
     ORDERINGS,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 from collections import ChainMap
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from ebb.compiler.elaborate.errors import BadAnnotation, NoRowParameter, UnresolvedAnnotation
@@ -13,11 +12,12 @@ from ebb.compiler.elaborate.errors_syntax import RejectedSyntax
 from ebb.compiler.elaborate.rejected import REJECTED_PARAMETERS
 from ebb.compiler.elaborate.source import SourceFunction
 from ebb.errors import KernelSyntaxError, KernelTypeError
+from ebb.records import record
 from ebb.relations.relation import Relation
 from ebb.types.types import KeyType, Type, as_type, is_type
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class FieldName:
     """The type of a parameter that is the name of a field: the name itself, known when the kernel is compiled."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from ebb.compiler import kir
@@ -26,6 +25,7 @@ from ebb.compiler.elaborate.expressions import read_name
 from ebb.compiler.elaborate.scope import Variable, raw_lookup
 from ebb.compiler.elaborate.values import Poison, Sequence, Static, Typed, Value, noun, static_noun
 from ebb.diagnostics.span import Span
+from ebb.records import record, replace
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.relations.member import Member
@@ -33,7 +33,7 @@ from ebb.relations.relation import Relation
 from ebb.types.types import KeyType, Type, int32, shaped_type
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class LocalPlace:
     """A component of a local; locals as a whole are assigned by name.
 
@@ -46,7 +46,7 @@ class LocalPlace:
     member: MemberPlace | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class FieldPlace:
     field: Field
     key: kir.Expr
@@ -54,7 +54,7 @@ class FieldPlace:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class GlobalPlace:
     globl: Global
     name: str
@@ -62,7 +62,7 @@ class GlobalPlace:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class MemberPlace:
     member: Member
     key: kir.Expr

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
 from typing import Any
 
 from ebb.compiler import kir
@@ -12,10 +11,11 @@ from ebb.compiler.elaborate.context import Context
 from ebb.compiler.elaborate.scope import raw_lookup
 from ebb.compiler.elaborate.values import Poison, Static, Value
 from ebb.diagnostics.span import Span
+from ebb.records import record
 from ebb.types.builtins import Builtin, from_python
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Extremum:
     """A reduction by ``min`` or ``max``, with the arguments other than the place.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from ebb.compiler import kir
@@ -13,11 +12,12 @@ from ebb.compiler.elaborate.source import SourceFunction
 from ebb.compiler.elaborate.values import Value
 from ebb.compiler.host import HostCell, HostConst, HostExpr, HostGlobal
 from ebb.diagnostics.span import Span
+from ebb.records import field, record
 
 AMBIGUOUS = "on two ways to this place a loop makes it two different things"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Variable:
     """A local that holds a value of one type."""
 
@@ -25,7 +25,7 @@ class Variable:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Bound:
     """A local that is known when the kernel is compiled: what an argument is, a query, an unrolled variable."""
 
@@ -33,7 +33,7 @@ class Bound:
     span: Span
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class Stores:
     """How often the names of one function are assigned: in all, by ``=`` and by ``for``; and where first."""
 
@@ -49,7 +49,7 @@ State: TypeAlias = "Mapping[str, Binding] | None"
 """What surely has a value at a place of the program, and which; None where no way leads there."""
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class Loop:
     """A loop around the statements being elaborated.
 
@@ -64,7 +64,7 @@ class Loop:
     turn: kir.Label | None = None
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class Returns:
     """The returns of a function: where they lead, and what they give.
 
@@ -78,7 +78,7 @@ class Returns:
     values: list[tuple[bool, Value | None, Span]] = field(default_factory=list[tuple[bool, "Value | None", Span]])
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class Frame:
     """A function being elaborated: the kernel, or a func or member that is inlined into it.
 

@@ -8,20 +8,20 @@ import linecache
 import os
 import stat
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from types import CellType, CodeType, FunctionType
 from typing import Any, TypeAlias
 
 from ebb.compiler.elaborate.errors import NotAFunction, SourceChanged, SourceNotFound
 from ebb.diagnostics.span import Source, Span
 from ebb.errors import KernelSyntaxError
+from ebb.records import field, record
 
 Located: TypeAlias = ast.expr | ast.stmt | ast.arg | ast.keyword
 """The nodes of a syntax tree that say where they stand."""
 
 
-@dataclass(frozen=True, eq=False)
+@record(eq=False)
 class SourceFunction:
     """A function as it is written, and the names around it.
 
@@ -40,10 +40,6 @@ class SourceFunction:
     namespace: Mapping[str, Any]
     locals: Mapping[str, Any] = field(repr=False)
 
-    @cached_property
-    def _lines(self) -> list[str]:
-        return self.source.text.split("\n")
-
     def span(self, node: Located, caller: Span | None = None) -> Span:
         """Where ``node`` stands. The columns of ``ast`` count UTF-8 bytes, those of spans characters."""
         line, end_line = node.lineno, node.end_lineno or node.lineno
@@ -51,7 +47,8 @@ class SourceFunction:
         return Span(self.source, line, self._column(line, column), end_line, self._column(end_line, end_column), caller)
 
     def _column(self, line: int, byte: int) -> int:
-        text = self._lines[line - 1] if line <= len(self._lines) else ""
+        lines = _lines(self.source.text)
+        text = lines[line - 1] if line <= len(lines) else ""
         return byte if text.isascii() else len(text.encode()[:byte].decode(errors="ignore"))
 
     @property
@@ -147,6 +144,11 @@ def _changed(code: CodeType, reason: str) -> SourceChanged:
 
 def _first_line(node: ast.FunctionDef) -> int:
     return min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+
+
+@lru_cache(maxsize=64)
+def _lines(text: str) -> list[str]:
+    return text.split("\n")
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import Any, TypeAlias, TypeGuard
 
@@ -11,6 +10,7 @@ from ebb.compiler.elaborate.intrinsics import Intrinsic
 from ebb.compiler.host import HostConst, HostExpr, describe
 from ebb.compiler.kir import Expr
 from ebb.diagnostics.span import Span
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.globals import Constant, Global
 from ebb.relations.member import Member
@@ -21,7 +21,7 @@ from ebb.types.rules import lone_type
 from ebb.types.types import KeyType, MatrixType, ScalarType, VectorType
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Typed:
     """A value that the kernel computes."""
 
@@ -32,7 +32,7 @@ class Typed:
         return self.expr.span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Weak:
     """A Python number, whose type its surroundings fix. ``value`` is what it is now."""
 
@@ -45,7 +45,7 @@ class Weak:
         return isinstance(self.host, HostConst)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class WeakChoice:
     """``then if condition else other`` of numbers that are weak themselves."""
 
@@ -55,7 +55,7 @@ class WeakChoice:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Sequence:
     """``[x, y]`` or ``(x, y)``: a vector, a matrix, several values, or what a loop unrolls over."""
 
@@ -63,7 +63,7 @@ class Sequence:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Projection:
     """An attribute that is taken of each row of a query."""
 
@@ -71,7 +71,7 @@ class Projection:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Query:
     """The rows of ``index.relation`` whose ``index`` is ``key``, and what is taken of each."""
 
@@ -81,7 +81,7 @@ class Query:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Static:
     """An object of the host: a relation, field, function, module, type, tuple, string, or any with attributes."""
 
@@ -97,7 +97,7 @@ class Static:
         return describe(self.host)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class BoundMember:
     """A member with further parameters, of a key: ``c.vertex`` before it is called."""
 
@@ -106,7 +106,7 @@ class BoundMember:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Nothing:
     """The result of a function that returns nothing."""
 
@@ -114,7 +114,7 @@ class Nothing:
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Poison:
     """The value of something wrong that has been reported; whatever uses it stays silent."""
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import bodies, operands, subexpressions
+from ebb.records import field, record
 
 _Path = tuple[int, ...]
 _FORCED = 2
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class _Uses:
     """What the statements do to each local, by ``uid``. A path names the bodies around a statement, outermost first."""
 

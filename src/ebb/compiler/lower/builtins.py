@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 
 from ebb.compiler import lir
 from ebb.compiler.lower.builder import Builder, Values, number, zero
+from ebb.records import record
 from ebb.types.small_matrix import adjugate, determinant
 from ebb.types.types import Kind, Type, int64
 
@@ -19,7 +19,7 @@ Lowering = Callable[[Builder, tuple[Values, ...], tuple[Type, ...], Type], Value
 _Component = Callable[..., lir.Value]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Number:
     """A value with the operators that the formulas of ``small_matrix`` use."""
 

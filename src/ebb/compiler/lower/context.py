@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import TypeAlias
 
@@ -11,6 +10,7 @@ from ebb.compiler.lower.builder import Builder, Values
 from ebb.compiler.lower.facts import Facts
 from ebb.compiler.lower.sites import Site
 from ebb.compiler.phases.table import PhaseTable
+from ebb.records import field, record
 from ebb.relations.relation import Relation
 from ebb.types.types import Element, ScalarType, from_dtype, int32, int64, uint64
 
@@ -23,7 +23,7 @@ class Launched(Enum):
     BOXES = "boxes of a grid"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Moved:
     """A position that is ``base`` moved by whole offsets on one grid, without wrapping."""
 
@@ -34,7 +34,7 @@ class Moved:
 Coordinates: TypeAlias = Values | Moved
 
 
-@dataclass(slots=True, eq=False)
+@record(frozen=False, eq=False)
 class Context:
     """The state of one lowering.
 

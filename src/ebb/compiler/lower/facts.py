@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import expressions, queried_fields, statements
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
 from ebb.runtime.buffer import Layout
@@ -19,7 +19,7 @@ State: TypeAlias = tuple[bool, ...]
 """The facts of one moment, in the order of their sources: hashable, and cheap to compare."""
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Facts:
     """What holds of the data while the code that was lowered with it runs.
 
@@ -36,7 +36,7 @@ class Facts:
     columns: frozenset[Field]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class FactSources:
     """Where the facts of one kernel come from. The grouping of each queried field is valid when they are read."""
 

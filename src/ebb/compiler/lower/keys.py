@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
 
@@ -13,6 +12,7 @@ from ebb.compiler.lower.context import Context, Moved
 from ebb.compiler.lower.facts import target
 from ebb.compiler.lower.sites import AffineSite, ComponentSite, KeySite
 from ebb.diagnostics.span import Span
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
 from ebb.types.types import ScalarType, Type, int64, uint32, uint64
@@ -192,7 +192,7 @@ def _in_range(ctx: Context, expr: kir.Expr, extent: int) -> bool:
             return False
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Place:
     """Where components of a row lie in the slot of a field.
 

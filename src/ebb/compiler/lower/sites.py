@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 from ebb.compiler import failures, kir
 from ebb.diagnostics.span import Span
 from ebb.errors import EbbError
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.types.types import Type
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class AssertSite:
     stmt: kir.Assert
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class ComponentSite:
     """An index of a vector or matrix. Payload: the index."""
 
@@ -27,14 +27,14 @@ class ComponentSite:
     type: Type
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class AffineSite:
     """An affine access. Payload: the coordinates before they wrap."""
 
     node: kir.Affine
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class KeySite:
     """A key that may be unset. Payload: the position of the row whose key it is."""
 
@@ -42,7 +42,7 @@ class KeySite:
     field: Field
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class StepSite:
     stmt: kir.ForRange
 

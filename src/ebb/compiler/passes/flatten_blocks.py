@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import map_bodies, statements
+from ebb.records import replace
 
 
 def flatten_blocks(kernel: kir.Kernel) -> kir.Kernel:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import map_body, map_children
+from ebb.records import replace
 from ebb.types import arithmetic
 from ebb.types.types import Type
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import map_bodies
+from ebb.records import replace
 
 
 def prune_branches(kernel: kir.Kernel) -> kir.Kernel:

@@ -6,13 +6,13 @@ and two units in the last place of ``pow``; of integers they are exact.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import map_bodies, map_children, map_operands, statements
+from ebb.records import field, record, replace
 from ebb.types.types import Kind, ScalarType
 
 
@@ -27,7 +27,7 @@ _INTEGER = (1, 2, 3, 4)
 _FLOAT = (-1, 0.5, *_INTEGER)
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class _Powers:
     """The rewriting of one kernel. A base that is more than a name is bound to a new local before the statement."""
 

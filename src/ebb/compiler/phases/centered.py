@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import statements
+from ebb.records import record
 from ebb.relations.relation import Relation
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Centered:
     """The locals of one kernel that hold its own row, by ``uid``."""
 

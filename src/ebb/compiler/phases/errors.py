@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from ebb.compiler.phases.uses import Mode, Use
 from ebb.diagnostics.diagnostic import Diagnostic, Label
 from ebb.diagnostics.span import Span
+from ebb.records import record
 
 _MOST_LABELS = 4
 """How many places of one kind an error shows."""
 
 
-@dataclass(frozen=True)
+@record
 class FieldInTwoPhases(Diagnostic):
     """A field is changed in one phase and used in another, and at least one use is through another row.
 
@@ -80,7 +80,7 @@ class FieldInTwoPhases(Diagnostic):
         return f"{text}, which other rows change" if use.centered and use.mode is Mode.READ else text
 
 
-@dataclass(frozen=True)
+@record
 class GlobalAssigned(Diagnostic):
     """A global is assigned in a kernel. The elaborator finds it, since KIR has no such statement."""
 
@@ -106,7 +106,7 @@ class GlobalAssigned(Diagnostic):
         return (f"reduce into it, as in '{self.name}.value += x', or set '{self.name}.value' between two launches",)
 
 
-@dataclass(frozen=True)
+@record
 class WriteToOtherRow(Diagnostic):
     """A field is written through a key that is not the kernel's own row.
 
@@ -159,7 +159,7 @@ class WriteToOtherRow(Diagnostic):
         )
 
 
-@dataclass(frozen=True)
+@record
 class GlobalInTwoPhases(Diagnostic):
     """A global is read and reduced, or reduced with two operators.
 
@@ -203,7 +203,7 @@ class GlobalInTwoPhases(Diagnostic):
         return ("reduce into a second global, or split the kernel",)
 
 
-@dataclass(frozen=True)
+@record
 class StencilOutOfBounds(Diagnostic):
     """An affine access of a kernel leaves its grid for some of the launched rows.
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import operands, statements, subexpressions
 from ebb.compiler.phases.centered import Centered, find_centered
+from ebb.records import field, record
 from ebb.relations.field import Field
 from ebb.relations.reach import Reach
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class _Found:
     """What has been found of one field so far."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, TypeAlias, cast
 
@@ -22,6 +21,7 @@ from ebb.compiler.phases.centered import Centered, find_centered, single_assignm
 from ebb.compiler.phases.errors import StencilOutOfBounds
 from ebb.diagnostics.span import Span
 from ebb.errors import BoundsError
+from ebb.records import record
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet
 from ebb.types.types import KeyType
@@ -33,7 +33,7 @@ _MOST_ROWS = 1 << 22
 """How many rows are followed at once, which bounds the memory of a check."""
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Access:
     """An affine access of a kernel whose base is the kernel's own row.
 
@@ -46,7 +46,7 @@ class Access:
     steps: tuple[kir.Affine, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class _Overrun:
     """The dimension in which an access leaves its grid, the indices that it asks for there, and a row that does."""
 

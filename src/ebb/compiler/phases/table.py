@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 
 from ebb.compiler.kir import ReduceOp
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 
@@ -19,7 +19,7 @@ class PhaseKind(Enum):
     EXCLUSIVE = "EXCLUSIVE"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class FieldPhase:
     """The phase of one field.
 
@@ -48,7 +48,7 @@ class FieldPhase:
         return phase_text(self.kind, self.op)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class GlobalPhase:
     """The phase of one global: READ, or REDUCE with ``op``."""
 
@@ -64,7 +64,7 @@ class GlobalPhase:
         return phase_text(self.kind, self.op)
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class PhaseTable:
     """The phases of all fields and globals that a kernel uses, in the order of their first use."""
 

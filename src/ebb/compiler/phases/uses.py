@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
 
@@ -10,6 +9,7 @@ from ebb.compiler import kir
 from ebb.compiler.kir_walk import operands, statements, subexpressions
 from ebb.compiler.phases.centered import Centered
 from ebb.diagnostics.span import Span
+from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 
@@ -24,7 +24,7 @@ class Mode(Enum):
     REDUCE = "REDUCE"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Use:
     """One use of a field or a global.
 
@@ -48,7 +48,7 @@ class Use:
         return self.mode.value if self.op is None else f"{self.mode.value}({self.op.value})"
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Uses:
     """All uses in a kernel, each list in source order."""
 

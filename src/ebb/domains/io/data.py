@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ebb.diagnostics.span import Source, Span
+from ebb.records import record
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class Origin:
     """The file that a mesh was read from. The line numbers count from 1, and are empty where the format has none."""
 
@@ -32,7 +32,7 @@ class Origin:
         return line_span(self.source, self.cell_lines[row]) if row < len(self.cell_lines) else None
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Material:
     """A ``*MATERIAL`` of a VEG file: its name, its model (``ENU``, ``ORTHOTROPIC``, ``MOONEYRIVLIN``) and the numbers.
 
@@ -44,7 +44,7 @@ class Material:
     parameters: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class Region:
     """The elements that are of one material: a ``*REGION`` of a VEG file. ``rows`` are row numbers from 0."""
 
@@ -53,7 +53,7 @@ class Region:
     rows: Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record(eq=False)
 class MeshData:
     """Points of shape (n, 3), cells of shape (m, corners) that index them from 0, and what else the file holds."""
 

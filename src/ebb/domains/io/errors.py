@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isfinite
 from typing import ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic, Label
 from ebb.diagnostics.span import Span
 from ebb.domains.io.data import Origin
+from ebb.records import record
 
 _ANYHOW = "repair the mesh, for example with pymeshfix, or pass `manifold=False` to take it as it is"
 
 
-@dataclass(frozen=True)
+@record
 class UnreadableFile(Diagnostic):
     """The file is missing, a directory, or may not be read or written."""
 
@@ -26,7 +26,7 @@ class UnreadableFile(Diagnostic):
         return f"the mesh file {self.path!r} cannot be opened: {self.reason}"
 
 
-@dataclass(frozen=True)
+@record
 class UnknownFormat(Diagnostic):
     """No reader or writer takes the file, or it holds no cells of the kind that is asked for."""
 
@@ -43,7 +43,7 @@ class UnknownFormat(Diagnostic):
         return ("OFF and VEG are read natively; for the other formats, see `meshio --help`",)
 
 
-@dataclass(frozen=True)
+@record
 class MalformedLine(Diagnostic):
     """A line is not what the format has at this place."""
 
@@ -60,7 +60,7 @@ class MalformedLine(Diagnostic):
         return Label(self.span, f"expected {self.expected}")
 
 
-@dataclass(frozen=True)
+@record
 class TruncatedFile(Diagnostic):
     """The file ends before everything that its counts announce."""
 
@@ -83,7 +83,7 @@ class TruncatedFile(Diagnostic):
         return ("the file is cut short, or its counts are wrong",)
 
 
-@dataclass(frozen=True)
+@record
 class BadElement(Diagnostic):
     """The base of the errors that name one row of the points or cells, and its line where there is one."""
 
@@ -115,7 +115,7 @@ class BadElement(Diagnostic):
         return None if span is None else Label(span, self.complaint)
 
 
-@dataclass(frozen=True)
+@record
 class IndexOutOfRange(BadElement):
     """A cell has a corner that is no point."""
 
@@ -131,7 +131,7 @@ class IndexOutOfRange(BadElement):
         return f"has the corner {self.index}, but {known}"
 
 
-@dataclass(frozen=True)
+@record
 class NotFinite(BadElement):
     """A coordinate is NaN or infinite, or beyond the range of float32."""
 
@@ -144,7 +144,7 @@ class NotFinite(BadElement):
         return f"has a coordinate that is {'too large for float32' if beyond else 'not finite'}: {self.coordinates}"
 
 
-@dataclass(frozen=True)
+@record
 class DegenerateElement(BadElement):
     """A cell has no area or no volume."""
 
@@ -159,7 +159,7 @@ class DegenerateElement(BadElement):
         return f"with the corners {self.corners} has no {self.measure}: {reason}"
 
 
-@dataclass(frozen=True)
+@record
 class InvertedElement(BadElement):
     """A tetrahedron has its corners in the order that gives a negative volume."""
 
@@ -182,7 +182,7 @@ class InvertedElement(BadElement):
         return ("pass `fix_orientation=True` to exchange two corners of each inverted element",)
 
 
-@dataclass(frozen=True)
+@record
 class NonManifold(BadElement):
     """More cells meet at an edge or a face than a surface or a solid can have there."""
 
@@ -201,7 +201,7 @@ class NonManifold(BadElement):
         return (_ANYHOW,) if self.kind == "triangle" else ()
 
 
-@dataclass(frozen=True)
+@record
 class InconsistentOrientation(BadElement):
     """Two neighbouring triangles have their corners in opposite senses, or one triangle occurs twice."""
 
@@ -222,7 +222,7 @@ class InconsistentOrientation(BadElement):
         return (_ANYHOW,)
 
 
-@dataclass(frozen=True)
+@record
 class OpenSurface(Diagnostic):
     """A surface that should enclose a volume has a boundary."""
 
@@ -239,7 +239,7 @@ class OpenSurface(Diagnostic):
         return ("close it first, for example with `pymeshfix.MeshFix(points, triangles).repair()`",)
 
 
-@dataclass(frozen=True)
+@record
 class WrongArray(Diagnostic):
     """An array of points or cells has the wrong shape or kind of numbers."""
 
@@ -253,7 +253,7 @@ class WrongArray(Diagnostic):
         return f"{self.name} should be {self.expected}, not {self.found}"
 
 
-@dataclass(frozen=True)
+@record
 class MissingMeshio(Diagnostic):
     """The format is one of meshio's, and meshio is not installed. Raised as a ``BackendError``."""
 
@@ -269,7 +269,7 @@ class MissingMeshio(Diagnostic):
         return ('pip install "ebblang[mesh]"',)
 
 
-@dataclass(frozen=True)
+@record
 class Unsavable(Diagnostic):
     """The file format, or a mesh, has no place for a field that is to be saved."""
 

@@ -7,7 +7,6 @@ elements are numbered from 0 or from 1, as the first point has it.
 from __future__ import annotations
 
 from collections.abc import Container
-from dataclasses import dataclass, field
 from math import isfinite
 from os import PathLike
 from typing import Any
@@ -20,6 +19,7 @@ from ebb.domains.io.errors import IndexOutOfRange
 from ebb.domains.io.saving import write_text
 from ebb.domains.io.text import Lines, as_float
 from ebb.errors import MeshFormatError
+from ebb.records import field, record
 
 # The set that every file has.
 _ALL = "allElements"
@@ -28,7 +28,7 @@ _ALL = "allElements"
 _SET_LINE = 16
 
 
-@dataclass(slots=True)
+@record(frozen=False)
 class _Parts:
     """What has been read so far. ``base`` is the number of the first point, 0 or 1."""
 
