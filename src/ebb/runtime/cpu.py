@@ -21,9 +21,12 @@ from ebb.runtime.errors import NoMachineCode
 from ebb.runtime.symbols import external_symbols
 from ebb.runtime.threads import describe_threads, openmp, usable_threads
 
-THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, THREAD_COUNT, FAILURES = range(8)
-HEADER_WORDS = 8
-"""The header: how many threads, blocks and rows; the boxes of the blocks; OpenMP's entries; the failure records."""
+THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, THREAD_COUNT, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(12)
+HEADER_WORDS = 12
+"""The header: how many threads, blocks and rows; the boxes of the blocks; OpenMP's entries; the failure records; then
+what may run at once: the stretches of blocks that are the items, each as its first block and the one behind its last (no
+address: each block is an item); the item that each wave starts with; how many waves there are; and the present one. The
+items of a wave run at once. In each wave they ascend."""
 
 FAILURE_WORDS = 16
 """A thread's failure record: the site + 1 (0: none), the block, the row's position, and the payload."""
@@ -32,7 +35,8 @@ PAYLOAD_START = 3
 
 LAUNCH, SHARE, FINISH = "ebb_launch", "ebb_share", "ebb_finish"
 """``i64 LAUNCH(block*)`` runs everything on the threads of OpenMP and returns 1 on failure. For other threads there are
-``void SHARE(block*, i64 thread, i64 threads)``, the blocks of one thread, and ``void FINISH(block*)``."""
+``void SHARE(block*, i64 thread, i64 threads)``, what one thread does of the present wave, and ``void FINISH(block*)``.
+"""
 
 _links = itertools.count()
 
@@ -65,10 +69,11 @@ class ArgumentBlock:
     def take_failure(self) -> tuple[int, int, tuple[int, ...]]:
         """The site, position and payload of the first failure in the order of rows; the records are cleared.
 
-        A thread's blocks are a stretch of all blocks, in order, and it stops at its first failure: so the first thread
-        that has failed knows the first failure, however many threads there are.
+        After its first failure a thread only goes on with blocks that precede it, and every wave runs: so one of the
+        threads knows the first failure, however many there are.
         """
-        record = self.failures[int(np.argmax(self.failures[:, 0] != 0))].tolist()
+        failed = np.flatnonzero(self.failures[:, 0])
+        record = self.failures[failed[np.argmin(self.failures[failed, 1])]].tolist()
         self.failures.fill(0)
         return record[0] - 1, record[2], tuple(record[PAYLOAD_START:])
 
@@ -138,7 +143,9 @@ def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int)
         code.share(block.address, thread, threads)
 
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(share, range(threads)))
+        for wave in range(block.numbers[WAVES]):
+            block.numbers[WAVE] = wave
+            list(pool.map(share, range(threads)))
     if block.failures[:, 0].any():
         return True
     code.finish(block.address)

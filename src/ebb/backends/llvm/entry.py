@@ -16,12 +16,16 @@ from ebb.runtime.cpu import (
     FAILURES,
     FINISH,
     FORK,
+    ITEMS,
     LAUNCH,
     ROWS,
     SHARE,
+    STARTS,
     THREAD_COUNT,
     THREAD_NUMBER,
     THREADS,
+    WAVE,
+    WAVES,
 )
 
 BLOCK_FUNCTION, FINISH_FUNCTION = "ebb.block", "ebb.finish"
@@ -73,24 +77,65 @@ def _record(w: FunctionWriter, thread: str) -> str:
 
 
 def _write_share(program: lir.Program, module: ModuleWriter) -> None:
-    """A thread's blocks are a stretch of all blocks, so its first failure is its first in the order of rows."""
+    """A thread takes a stretch of the items of the wave. Once it has failed, items behind its failure are not run."""
     w = FunctionWriter(module)
-    blocks = _word(w, BLOCKS)
-    first = w.emit(f"udiv i64 {w.emit(f'mul i64 {blocks}, %thread')}, %threads")
-    following = w.emit("add i64 %thread, 1")
-    last = w.emit(f"udiv i64 {w.emit(f'mul i64 {blocks}, {following}')}, %threads")
-    failure = _record(w, "%thread")
-    w.branch("head")
+    first, last = _wave_items(w, _word(w, WAVE))
+    count = w.emit(f"sub i64 {last}, {first}")
+    low, high = (_share_start(w, first, count, thread) for thread in ("%thread", w.emit("add i64 %thread, 1")))
+    failure, items = _record(w, "%thread"), _word(w, ITEMS, "ptr")
+    listed = w.emit(f"icmp ne ptr {items}, null")
+    # Where each block is an item, the stretch itself is the one item.
+    item_low = w.emit(f"select i1 {listed}, i64 {low}, i64 0")
+    item_high = w.emit(f"select i1 {listed}, i64 {high}, i64 1")
+    w.branch("items")
+    w.start("items")
+    item = w.emit(f"phi i64 [ {item_low}, %entry ], [ %next.item, %item.done ]")
+    w.branch_if(w.emit(f"icmp ult i64 {item}, {item_high}"), "item", "done")
+    w.start("item")
+    w.branch_if(listed, "look.up", "bounds")
+    w.start("look.up")
+    place = w.emit(f"getelementptr inbounds i64, ptr {items}, i64 {w.emit(f'mul i64 {item}, 2')}")
+    given = [w.emit(f"load i64, ptr {_next_word(w, place, number)}") for number in range(2)]
+    w.branch("bounds")
+    w.start("bounds")
+    start, stop = (
+        w.emit(f"phi i64 [ {whole}, %item ], [ {listed_bound}, %look.up ]")
+        for whole, listed_bound in zip((low, high), given, strict=True)
+    )
+    site = w.emit(f"load i64, ptr {failure}")
+    failed_block = w.emit(f"load i64, ptr {_next_word(w, failure, 1)}")
+    behind = w.emit(f"icmp uge i64 {start}, {failed_block}")
+    over = w.emit(f"and i1 {w.emit(f'icmp ne i64 {site}, 0')}, {behind}")
+    w.branch_if(over, "done", "head")
     w.start("head")
-    block = w.emit(f"phi i64 [ {first}, %entry ], [ %next, %turn ]")
-    w.branch_if(w.emit(f"icmp ult i64 {block}, {last}"), "turn", "done")
+    block = w.emit(f"phi i64 [ {start}, %bounds ], [ %next, %turn ]")
+    w.branch_if(w.emit(f"icmp ult i64 {block}, {stop}"), "turn", "item.done")
     w.start("turn")
     failed = _call(w, program, BLOCK_FUNCTION, failure, block, _box(w, program, block))
     w.do(f"%next = add i64 {block}, 1")
     w.branch_if(w.emit(f"icmp eq i64 {failed}, 0"), "head", "done")
+    w.start("item.done")
+    w.do(f"%next.item = add i64 {item}, 1")
+    w.branch("items")
     w.start("done")
     w.do("ret void")
     w.finish(f"define void @{SHARE}(ptr %args, i64 %thread, i64 %threads) nounwind")
+
+
+def _wave_items(w: FunctionWriter, wave: str) -> tuple[str, str]:
+    """The first item of a wave, and the first of the next."""
+    starts = w.emit(f"getelementptr inbounds i64, ptr {_word(w, STARTS, 'ptr')}, i64 {wave}")
+    first = w.emit(f"load i64, ptr {starts}")
+    return first, w.emit(f"load i64, ptr {_next_word(w, starts, 1)}")
+
+
+def _next_word(w: FunctionWriter, place: str, number: int) -> str:
+    return w.emit(f"getelementptr inbounds i64, ptr {place}, i64 {number}")
+
+
+def _share_start(w: FunctionWriter, first: str, count: str, thread: str) -> str:
+    share = w.emit(f"udiv i64 {w.emit(f'mul i64 {count}, {thread}')}, %threads")
+    return w.emit(f"add i64 {first}, {share}")
 
 
 def _write_worker(module: ModuleWriter) -> None:
@@ -111,16 +156,30 @@ def _write_finish(program: lir.Program, module: ModuleWriter) -> None:
 
 
 def _write_launch(module: ModuleWriter) -> None:
+    """All waves run even after a failure: a later one may hold a row that comes before it."""
     w = FunctionWriter(module)
-    threads = _word(w, THREADS)
-    w.branch_if(w.emit(f"icmp ugt i64 {threads}, 1"), "fork", "serial")
+    threads, waves = _word(w, THREADS), _word(w, WAVES)
+    present = w.emit(f"getelementptr inbounds i64, ptr %args, i64 {WAVE}")
+    w.declare("i64 @llvm.umin.i64(i64, i64)")
+    w.branch("waves")
+    w.start("waves")
+    wave = w.emit("phi i64 [ 0, %entry ], [ %next.wave, %joined ]")
+    w.branch_if(w.emit(f"icmp ult i64 {wave}, {waves}"), "wave", "check")
+    w.start("wave")
+    w.do(f"store i64 {wave}, ptr {present}")
+    first, last = _wave_items(w, wave)
+    count = w.emit(f"call i64 @llvm.umin.i64(i64 {threads}, i64 {w.emit(f'sub i64 {last}, {first}')})")
+    w.branch_if(w.emit(f"icmp ugt i64 {count}, 1"), "fork", "serial")
     w.start("fork")
-    count = w.emit(f"trunc i64 {threads} to i32")
-    w.do(f"call void {_word(w, FORK, 'ptr')}(ptr @ebb.worker, ptr %args, i32 {count}, i32 0)")
-    w.branch("check")
+    team = w.emit(f"trunc i64 {count} to i32")
+    w.do(f"call void {_word(w, FORK, 'ptr')}(ptr @ebb.worker, ptr %args, i32 {team}, i32 0)")
+    w.branch("joined")
     w.start("serial")
     w.do(f"call void @{SHARE}(ptr %args, i64 0, i64 1)")
-    w.branch("check")
+    w.branch("joined")
+    w.start("joined")
+    w.do(f"%next.wave = add i64 {wave}, 1")
+    w.branch("waves")
     w.start("check")
     w.branch("head")
     w.start("head")
