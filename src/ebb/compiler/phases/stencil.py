@@ -113,7 +113,7 @@ def _find_overrun(access: Access, rows: RowSet) -> _Overrun | None:
     for coordinates in _coordinates(rows):
         asked = _ask(access, coordinates)
         for dimension, index in enumerate(asked):
-            outside = _outside(access.node, dimension, index)
+            outside = find_outside(access.node, dimension, index)
             if outside is not None and outside.any():
                 first = np.unravel_index(int(np.argmax(outside)), outside.shape)
                 row = tuple(int(_at(axis, first)) for axis in coordinates)
@@ -129,11 +129,11 @@ def _reach(access: Access, dimension: int, rows: RowSet) -> tuple[int, int]:
 def _ask(access: Access, coordinates: Coordinates) -> Coordinates:
     """The indices that ``access`` asks for, before they wrap."""
     for step in access.steps[:-1]:
-        coordinates = _settle(step, _map(step.matrix, coordinates))
-    return _map(access.node.matrix, coordinates)
+        coordinates = settled(step, map_coordinates(step.matrix, coordinates))
+    return map_coordinates(access.node.matrix, coordinates)
 
 
-def _map(matrix: Matrix, coordinates: Coordinates) -> Coordinates:
+def map_coordinates(matrix: Matrix, coordinates: Coordinates) -> Coordinates:
     """``floor(matrix @ [*coordinates, 1])``, exactly; a result has the axes of the coordinates it depends on."""
     return [_map_row(entries, coordinates) for entries in matrix]
 
@@ -149,7 +149,7 @@ def _map_row(entries: tuple[Fraction, ...], coordinates: Coordinates) -> npt.NDA
     return index // scale
 
 
-def _settle(step: kir.Affine, asked: Coordinates) -> Coordinates:
+def settled(step: kir.Affine, asked: Coordinates) -> Coordinates:
     """The coordinates that a step gives: wrapped, or held within the grid."""
     target = target_of(step)
     return [
@@ -158,7 +158,7 @@ def _settle(step: kir.Affine, asked: Coordinates) -> Coordinates:
     ]
 
 
-def _outside(step: kir.Affine, dimension: int, index: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
+def find_outside(step: kir.Affine, dimension: int, index: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
     """Which indices lie outside the grid in a dimension, or None where it wraps."""
     target = target_of(step)
     extent = target.shape[dimension]
@@ -198,10 +198,10 @@ def _box_coordinates(start: Sequence[int], stop: Sequence[int]) -> Iterator[Coor
     for first in range(start[0], stop[0], thickness):
         slices = [slice(first, min(first + thickness, stop[0]))]
         slices += [slice(low, high) for low, high in zip(start[1:], stop[1:], strict=True)]
-        yield _open_mesh(slices)
+        yield open_mesh(slices)
 
 
-def _open_mesh(slices: Sequence[slice]) -> Coordinates:
+def open_mesh(slices: Sequence[slice]) -> Coordinates:
     """The indices of each slice, along an axis of its own."""
     return [np.asarray(axis, dtype=np.int64) for axis in np.ogrid[tuple(slices)]]
 
@@ -266,10 +266,10 @@ def _entries_text(values: Sequence[Fraction]) -> str:
 def _suggest_subset(relation: Relation, accesses: Sequence[Access]) -> str | None:
     """Code that makes the largest box of rows that can be found for which no access leaves its grid."""
     good = [np.ones(extent, dtype=np.bool_) for extent in relation.shape]
-    whole = _open_mesh([slice(0, extent) for extent in relation.shape])
+    whole = open_mesh([slice(0, extent) for extent in relation.shape])
     for access in accesses:
         for dimension, index in enumerate(_ask(access, whole)):
-            outside = _outside(access.node, dimension, index)
+            outside = find_outside(access.node, dimension, index)
             if outside is None or not outside.any():
                 continue
             axes = [axis for axis, extent in enumerate(outside.shape) if extent > 1]

@@ -1,0 +1,1 @@
+"""Reductions into other rows, in parallel and with the same bits for any number of threads."""
