@@ -24,9 +24,9 @@ from ebb.runtime.threads import describe_threads, openmp, usable_threads
 THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, THREAD_COUNT, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(12)
 HEADER_WORDS = 12
 """The header: how many threads, blocks and rows; the boxes of the blocks; OpenMP's entries; the failure records; then
-what may run at once: the stretches of blocks that are the items, each as its first block and the one behind its last (no
-address: each block is an item); the item that each wave starts with; how many waves there are; and the present one. The
-items of a wave run at once. In each wave they ascend."""
+what may run at once: the stretches of blocks that are the items, each as its first block and the one behind its last
+(no address: each block is an item); the item that each wave starts with; how many waves there are; and the present one.
+The items of a wave run at once. In each wave they ascend."""
 
 FAILURE_WORDS = 16
 """A thread's failure record: the site + 1 (0: none), the block, the row's position, and the payload."""

@@ -10,7 +10,6 @@ from ebb.backends.llvm.layout import layout_of
 from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
 from ebb.runtime.cpu import (
-    BLOCKS,
     BOXES,
     FAILURE_WORDS,
     FAILURES,
