@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from ebb.relations.sorting import stable_order
 from ebb.relations.storage import Rows
 from ebb.runtime.buffer import Array
 from ebb.runtime.epoch import structure_changed
@@ -64,7 +65,7 @@ class Grouping:
         if not _sorted(keys, relation.storage.order):
             rank = relation.storage.rank
             # Equal keys stay in the order in which they are given: that of identities.
-            order = np.argsort(keys, kind="stable") if rank is None else rank[np.argsort(keys[rank], kind="stable")]
+            order = stable_order(keys) if rank is None else rank[stable_order(keys[rank])]
             if self.orders_storage:
                 relation.permute(order)
             else:
