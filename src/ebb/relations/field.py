@@ -10,6 +10,7 @@ import numpy as np
 
 from ebb.errors import RelationError
 from ebb.relations.errors import ForeignField, KeysNotWritable, TypeMismatch, ViewOpen
+from ebb.relations.family import Family, join
 from ebb.relations.loading import Place, called_by_row, converted, target_of
 from ebb.runtime.buffer import Array, Buffer
 from ebb.runtime.epoch import structure_changed
@@ -36,6 +37,7 @@ class Field:
         version: counts the changes of the values; what is derived from them compares it.
         buffer: the memory that ``data`` lies in now.
         holds_keys: whether the values are keys.
+        family: the fields that it has been swapped with, once that matters.
     """
 
     __slots__ = (
@@ -43,6 +45,7 @@ class Field:
         "_open_views",
         "_unset",
         "buffer",
+        "family",
         "grouping",
         "holds_keys",
         "name",
@@ -51,17 +54,19 @@ class Field:
         "version",
     )
 
-    def __init__(self, relation: Relation, name: str, type_: Type) -> None:
+    def __init__(self, relation: Relation, name: str, type_: Type, buffer: Buffer | None = None) -> None:
+        """``buffer`` is memory that is there already, with its values; a new field is 0, and its keys unset."""
         self.relation = relation
         self.name = name
         self.type = type_
         self.grouping: Grouping | None = None
+        self.family: Family | None = None
         self.version = 0
         self._open_views = 0
-        self.buffer = Buffer((relation.size, *type_.shape), type_.dtype)
-        self._unset: bool | None = False
+        self.buffer = Buffer((relation.size, *type_.shape), type_.dtype) if buffer is None else buffer
         self.holds_keys = target_of(type_) is not None
-        if self.holds_keys:
+        self._unset: bool | None = None if self.holds_keys else False
+        if self.holds_keys and buffer is None:
             self.data.fill(UNSET)
             self._unset = relation.size > 0
 
@@ -195,7 +200,9 @@ class Field:
         self._unset, other._unset = other._unset, self._unset
         self.version += 1
         other.version += 1
-        if self.holds_keys:
+        if self.type.shape:
+            join(self, other)
+        if self.holds_keys or self.buffer.layout is not other.buffer.layout:
             structure_changed()
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
@@ -234,7 +241,8 @@ class Field:
         return Place(self.path, self.type, self.relation.shape)
 
     def _shaped(self) -> Array:
-        """A new array object on the memory, in the shape of the relation."""
+        """A new array object on the memory, in the shape of the relation. Somebody may keep it."""
+        self.relation.storage.pinned = True
         return self.data.reshape(self.relation.shape + self.type.shape)
 
     def _load_field(self, source: Field) -> None:

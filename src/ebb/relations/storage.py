@@ -28,10 +28,11 @@ class Storage:
         version: counts the permutations; what is derived from positions compares it.
         referrers: the key fields that point to the relation, held weakly.
         primary: the grouping that decides the order, or None.
+        pinned: whether somebody may hold a view of a field, so that rows are not moved without being asked to.
         compiled: what each kernel keeps for the relation: here, so that it goes with the relation, and with the kernel.
     """
 
-    __slots__ = ("compiled", "order", "primary", "rank", "referrers", "size", "version")
+    __slots__ = ("compiled", "order", "pinned", "primary", "rank", "referrers", "size", "version")
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -40,6 +41,7 @@ class Storage:
         self.version = 0
         self.referrers: WeakSet[Field] = WeakSet()
         self.primary: Grouping | None = None
+        self.pinned = False
         self.compiled: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
 
     def positions_of(self, identities: Array) -> Array:

@@ -41,6 +41,13 @@ class Buffer:
         self.host: Array = aligned_zeros(shape, dtype) if layout is Layout.ROWS else _columns(shape, dtype)
         self.address: int = self.host.ctypes.data
 
+    @classmethod
+    def of(cls, host: Array) -> Buffer:
+        """The memory of ``host`` itself, a C-contiguous array of rows."""
+        result = cls((0,), host.dtype)
+        result.host, result.address = host, host.ctypes.data
+        return result
+
     @property
     def nbytes(self) -> int:
         """The size of the values in bytes, without the padding between columns."""
