@@ -110,7 +110,7 @@ class CpuDevice:
             BackendError: it cannot be linked.
         """
         builder = llvm.JITLibraryBuilder().add_object_img(image)
-        for symbol, address in external_symbols().items():
+        for symbol, address in external_symbols(image).items():
             builder.import_symbol(symbol, address)
         for entry in (LAUNCH, SHARE, FINISH):
             builder.export_symbol(entry)

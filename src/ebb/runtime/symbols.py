@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 from collections.abc import Mapping
 from functools import cache
 
@@ -18,26 +17,38 @@ _MATH = (
 _MEMORY = ("memcpy", "memmove", "memset")
 
 
-@cache
-def external_symbols() -> Mapping[str, int]:
-    """The address of each function, by the name under which object code refers to it."""
-    names = [*_MEMORY, *(name + suffix for name in _MATH for suffix in ("", "f"))]
-    found = {name: _address(name) for name in names}
+_NAMES = (*_MEMORY, *(name + suffix for name in _MATH for suffix in ("", "f")))
+
+
+def external_symbols(image: bytes) -> Mapping[str, int]:
+    """The addresses of the functions that the object code ``image`` may call, by the names under which it does.
+
+    Looking up all of them, and handing each to the linker, would take longer than all else of a launch from the cache.
+    """
+    # The names stand in the object's table of strings, where "sin" may be the end of "asin": rather one too many.
+    named = [name for name in _NAMES if name.encode() + b"\0" in image]
+    found = {name: _address(name) for name in named}
     return {name: address for name, address in found.items() if address is not None}
 
 
+@cache
 def _address(name: str) -> int | None:
+    address: int | None = llvm.address_of_symbol(name)
+    if address is not None:
+        return address
     for library in _libraries():
         function = getattr(library, name, None)
         if function is not None:
             return ctypes.cast(function, ctypes.c_void_p).value
-    address: int | None = llvm.address_of_symbol(name)
-    return address
+    return None
 
 
 @cache
 def _libraries() -> tuple[ctypes.CDLL, ...]:
-    names = [ctypes.util.find_library("m"), None]
+    """Where to look for what the process itself does not offer; to find a library may take a process of its own."""
+    from ctypes.util import find_library
+
+    names = [find_library("m"), None]
     result: list[ctypes.CDLL] = []
     for name in names:
         try:
