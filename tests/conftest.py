@@ -26,6 +26,15 @@ def compiled_kernels(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def threads_for_little_work() -> Iterator[None]:
+    """Tests run on small data, where a launch would take one thread whatever it is allowed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ebb.runtime.threads.GRAIN", 1e-6)
+        patch.setattr("ebb.runtime.threads.GRAIN_OF_PYTHON", 1e-6)
+        yield
+
+
 @pytest.fixture
 def golden(request: pytest.FixtureRequest) -> Golden:
     """Compares a text with a golden file, or writes the file under ``--update-golden``."""

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import subprocess
 import sys
 import threading
 
@@ -101,3 +103,30 @@ def test_a_forked_process_runs_on_one_thread(summing):
     assert here.recv() == expected
     child.join(60)
     assert child.exitcode == 0
+
+
+def test_small_launches_are_not_worth_threads(monkeypatch):
+    monkeypatch.setattr(threads, "GRAIN", 25_000.0)
+    assert [threads.worthwhile_threads(work) for work in (0.0, 30e3, 50e3, 1e6, 1e9)] == [1, 1, 2, 40, 40_000]
+    monkeypatch.setattr(threads, "GRAIN_OF_PYTHON", 1e6)
+    monkeypatch.setattr(threads, "openmp", lambda: None)
+    assert [threads.worthwhile_threads(work) for work in (0.0, 50e3, 1e6, 2e6)] == [1, 1, 1, 2]
+
+
+WAITING = """
+import os
+from ebb.runtime.threads import openmp
+print(openmp() is not None, *(name for name in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT") if name in os.environ))
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other runtimes are told through the environment")
+def test_how_threads_wait_is_not_passed_on():
+    """Programs that a program starts, OpenMP ones say, wait as they are used to."""
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
+    }
+    found = subprocess.run(
+        [sys.executable, "-c", WAITING], env=environment, text=True, capture_output=True, timeout=60, check=True
+    )
+    assert found.stdout.split() == ["True"]

@@ -24,6 +24,17 @@ MOST_THREADS = 1024
 
 _ENVIRONMENT = "EBB_NUM_THREADS"
 
+GRAIN = 25_000.0
+"""Nanoseconds of work that are worth a thread. Two threads that are awake cost a launch some 2 us, asleep 10 to 60."""
+
+GRAIN_OF_PYTHON = 1_000_000.0
+"""The same for threads that Python starts anew for each launch."""
+
+_WAITING = {"GOMP_SPINCOUNT": "1000"}
+"""How libgomp's threads wait for work: some 50 us awake, about what it costs to wake them, then asleep. So they are at
+hand in a loop of launches, and lose no more than twice that where other processes need the cores. Its own default is
+15 ms: with a core taken by another process, a launch of 0.3 ms took 8. Asleep at once, none was below 60 us."""
+
 
 @record
 class OpenMP:
@@ -73,6 +84,11 @@ def usable_threads(threads: int) -> int:
     return 1
 
 
+def worthwhile_threads(work: float) -> int:
+    """How many threads a launch of ``work`` nanoseconds can pay for. It is for speed alone: no result depends on it."""
+    return max(1, int(work / (GRAIN if openmp() is not None else GRAIN_OF_PYTHON)))
+
+
 def thread_count(requested: Any = None) -> int:
     """The number of threads: as requested, else ``EBB_NUM_THREADS``, else the cores that the process may use.
 
@@ -102,12 +118,9 @@ def _checked(source: str, value: Any) -> int:
 @cache
 def openmp() -> OpenMP | None:
     """The OpenMP runtime of this process, loaded on first use: libgomp, else Intel's or LLVM's."""
-    # Read when the library is loaded. Threads that spin while they wait take the cores from those that work: on a busy
-    # machine of two cores a launch of 0.5 ms took 10 to 30 ms.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     for path in _candidates():
         try:
-            library = ctypes.CDLL(path)
+            library = _load(path)
             entries = [
                 _address(library, name) for name in ("GOMP_parallel", "omp_get_thread_num", "omp_get_num_threads")
             ]
@@ -115,6 +128,22 @@ def openmp() -> OpenMP | None:
             continue
         return OpenMP(path, *entries)
     return None
+
+
+def _load(path: str) -> ctypes.CDLL:
+    """Loads an OpenMP runtime, whose threads shall not spin for long: that takes the cores from those that work."""
+    chosen = "OMP_WAIT_POLICY" in os.environ or "GOMP_SPINCOUNT" in os.environ
+    if chosen:
+        return ctypes.CDLL(path)
+    if "gomp" not in path:
+        os.environ["OMP_WAIT_POLICY"] = "passive"  # the others read it when they start their threads
+        return ctypes.CDLL(path)
+    os.environ.update(_WAITING)  # read while it is loaded, and not meant for the processes that this one starts
+    try:
+        return ctypes.CDLL(path)
+    finally:
+        for name in _WAITING:
+            del os.environ[name]
 
 
 def describe_threads() -> str:
