@@ -40,8 +40,8 @@ def test_explain_says_phases_reductions_layout_and_cost():
 
     text = lines(gather.explain(vertices))
     assert text[0] == "kernel gather on vertices (4 rows)"
-    assert "edges.tail READ read, queried; any row key(vertices) 4 bytes a row, contiguous" in text
-    assert "vertices.force EXCLUSIVE reduced; own row vector(float32, 3) 12 bytes a row, contiguous" in text
+    assert "edges.tail READ read, queried; any row key(vertices) 4 bytes a row" in text
+    assert "vertices.force EXCLUSIVE reduced; own row vector(float32, 3) 12 bytes a row, in rows" in text
     assert "total.value REDUCE(+) reduced float64" in text
     assert any(line.endswith("own row: no other row touches it") for line in text)
     assert any("one partial result a block of rows" in line for line in text)
@@ -63,7 +63,7 @@ def test_explain_says_where_rows_run_in_order_and_what_the_stencil_is():
         ebb.affine(cells, [[1, 0, 1], [0, 1, 0]], c).flux += c.t
 
     text = lines(spread.explain(cells))
-    assert "cells.flux REDUCE(+) reduced; any row float64 8 bytes a row, contiguous" in text
+    assert "cells.flux REDUCE(+) reduced; any row float64 8 bytes a row" in text
     assert any(line.endswith("into other rows: row after row in storage order, on one thread") for line in text)
     assert any(line.startswith("one after the other, so that sums in other rows") for line in text)
     assert any(line.endswith("offset (1, 0) into cells checked before the launch") for line in text)

@@ -79,8 +79,8 @@ class Field:
     def data(self) -> Array:
         """The values in storage order, shape ``(relation.size, *type.shape)``; keys are positions, -1 where unset.
 
-        The array is C-contiguous and aligned to 64 bytes. Swapping and grouping replace it, so nobody keeps it. Who
-        writes to it calls ``changed`` afterwards.
+        The array is aligned to 64 bytes; its strides are those of the layout (see ``Buffer``). Swapping, grouping and
+        a change of the layout replace it, so nobody keeps it. Who writes to it calls ``changed`` afterwards.
         """
         return self.buffer.host
 
@@ -163,6 +163,8 @@ class Field:
         """The runtime's own memory as a NumPy array of the shape ``relation.shape + type.shape``, without a copy.
 
         Rows lie in storage order, which grouping the relation changes, and keys are the places of rows in that order.
+        The strides tell the layout: the components of a row together, or a column for each. While nobody has taken a
+        view of a field of the relation, launches may choose order and layout; from the first view on they stay.
         A view shows the memory that the field had when it was taken: take a new one after a swap or a grouping.
 
         Args:

@@ -81,7 +81,8 @@ def _rows_through(rows: RowSet, through: tuple[Field, ...]) -> int:
 
 
 def _decide(family: Family) -> None:
-    layout = Layout.COLUMNS if GATHER_WEIGHT * family.gathered <= family.streamed else Layout.ROWS
+    pays = family.streamed > 0 and GATHER_WEIGHT * family.gathered <= family.streamed
+    layout = Layout.COLUMNS if pays else Layout.ROWS
     if layout is not family.layout and family.conversions < MOST_CONVERSIONS:
         family.conversions += 1
         family.layout = layout
