@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import linecache
 import os
 import subprocess
@@ -162,3 +163,41 @@ def test_signatures_that_kernels_lack(signature, code):
         parameter_types(source)
     assert codes(error) == (code,)
     assert type(error.value) is (ebb.KernelTypeError if code == "E105" else ebb.KernelSyntaxError)
+
+
+ODDLY_WRITTEN = [
+    "def step(v):\n    v.x = 1",
+    "x = [\n1]\ndef step(v): v.x = 1\ny = 2",
+    "\n\ndef step(v):\n\n# a remark\n    v.x = 1\n    # another\n\n    v.x = 2\n\n# not its own\nx = 1\n",
+    "def step(v):\n    '''\nin column 0\n#\n  '''\n    v.x = (\n1,\n2)\nx = 1\n",
+    "def step(v):\n    v.x = 1 + \\\n2\n    v.x = '\\\n'\nx = 1\n",
+    "if True:\n\tdef step(v):\n\t\tv.x = 1\n\t\tif v.x:\n\t\t\treturn\n\tx = 1\n",
+    "if True:\n\tdef step(v):\n            v.x = 1\n            v.x = 2\nx = 3\n",
+    "def passed(*of):\n    return lambda f: f\n\n@passed(\n  1)\n# between\n@passed(\n'''\n'''\n)\n"
+    "def step(\n  v\n):\n    v.x = 1\nx = 1\n",
+    "def step(v):\n    v.x = 1\n\x0c\n    v.x = 2\nx = 1\n",
+    "def step(v):\n    '''\n" + "a line\n" * 20 + "    '''\n    v.x = 'ä'; v.x = 1\ndef other(): pass\n",
+    "class Holder:\n    def step(v): v.x = 1\n    def other(): pass\nstep = Holder.step\n",
+]
+
+
+@pytest.mark.parametrize("text", ODDLY_WRITTEN)
+def test_a_function_is_cut_out_of_its_file_as_it_stands_there(text):
+    """Its own tree, to the last column, is what the tree of the whole file has."""
+    name = f"<odd {hash(text)}>"
+    linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
+    namespace = {}
+    exec(compile(text, name, "exec"), namespace)
+    found = find_source(namespace["step"])
+    (whole,) = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef) and node.name == "step"]
+    assert ast.dump(found.node, include_attributes=True) == ast.dump(whole, include_attributes=True)
+    assert found.source.text == text
+
+
+def test_what_is_wrong_elsewhere_in_an_edited_file_does_not_matter():
+    name = "<edited below>"
+    text = "def step(v):\n    v.x = 1\n"
+    namespace = {}
+    exec(compile(text, name, "exec"), namespace)
+    linecache.cache[name] = (1, None, [*text.splitlines(keepends=True), "def (\n"], name)
+    assert find_source(namespace["step"]).node.lineno == 1

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from functools import cache
-from pathlib import Path
+from typing import Any
 
 import ebb.backends.llvm as emitter
 from ebb.backends.cache import ObjectCache, key_of
-from ebb.backends.llvm.emit import emit
-from ebb.backends.llvm.optimize import optimize
 from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify
 from ebb.compiler.pipeline import dump
@@ -38,7 +37,7 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
     image = cache.get(key)
     if image is None:
         start = time.perf_counter()
-        module = optimize(emit(program, target.hooks), target)
+        module = _module(program, target)
         dump(program.name, "optimize", lambda: str(module))
         image = bytes(target.machine.emit_object(module))
         _log.debug("%s: compiling took %.2f ms", program.name, 1e3 * (time.perf_counter() - start))
@@ -54,18 +53,33 @@ def check_private_bytes(kernel: str, size: int) -> None:
 
 def llvm_text(program: lir.Program, target: Target) -> str:
     """``program`` as LLVM IR after LLVM's own passes."""
-    return str(optimize(emit(program, target.hooks), target))
+    return str(_module(program, target))
 
 
 def assembly_text(program: lir.Program, target: Target) -> str:
     """``program`` in the target's assembly language."""
-    text: str = target.machine.emit_assembly(optimize(emit(program, target.hooks), target))
+    text: str = target.machine.emit_assembly(_module(program, target))
     return text
+
+
+def _module(program: lir.Program, target: Target) -> Any:
+    """What LLVM makes of ``program``."""
+    # Here, since a process whose kernels are all in the cache never gets here.
+    from ebb.backends.llvm.emit import emit
+    from ebb.backends.llvm.optimize import optimize
+
+    return optimize(emit(program, target.hooks), target)
 
 
 @cache
 def _emitter_version() -> str:
     """A hash of the sources that make LLVM IR of LIR, so that code of another version is never taken for ours."""
-    sources = sorted(Path(next(iter(emitter.__path__))).glob("*.py"))
-    sources += [Path(str(module.__file__)) for module in (lir, cpu)]
-    return key_of(*(path.read_text(encoding="utf-8") for path in sources))
+    folder = next(iter(emitter.__path__))
+    sources = sorted(os.path.join(folder, name) for name in os.listdir(folder) if name.endswith(".py"))
+    sources += [str(module.__file__) for module in (lir, cpu)]
+    return key_of(*map(_text, sources))
+
+
+def _text(path: str) -> str:
+    with open(path, "rb", buffering=0) as file:
+        return file.read().decode()

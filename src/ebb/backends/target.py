@@ -23,14 +23,21 @@ class Target:
         cpu: LLVM's name of the processor.
         features: the instruction sets that may be used, as LLVM spells them.
         hooks: what the emitter needs to know.
-        machine: LLVM's target machine.
     """
 
     triple: str
     cpu: str
     features: str
     hooks: Hooks
-    machine: Any
+
+    @property
+    def machine(self) -> Any:
+        """LLVM's target machine, made when something is compiled: what is in the cache needs none.
+
+        Raises:
+            BackendError: LLVM has no code generator for it.
+        """
+        return _machine(self)
 
     @property
     def fingerprint(self) -> str:
@@ -51,9 +58,16 @@ def host() -> Target:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-        machine = llvm.Target.from_triple(triple).create_target_machine(
-            cpu=cpu, features=features, opt=3, reloc="pic", codemodel="small"
-        )
     except RuntimeError as error:
         raise BackendError(NoMachineCode(triple, str(error))) from error
-    return Target(triple, cpu, features, CPU, machine)
+    return Target(triple, cpu, features, CPU)
+
+
+@cache
+def _machine(target: Target) -> Any:
+    try:
+        return llvm.Target.from_triple(target.triple).create_target_machine(
+            cpu=target.cpu, features=target.features, opt=3, reloc="pic", codemodel="small"
+        )
+    except RuntimeError as error:
+        raise BackendError(NoMachineCode(target.triple, str(error))) from error

@@ -26,7 +26,7 @@ class SourceFunction:
     """A function as it is written, and the names around it.
 
     Attributes:
-        node: its definition in the syntax tree of the whole file, so that line numbers are those of the file.
+        node: its definition, as a syntax tree with the line numbers of the file.
         cells: the variables of enclosing functions that it captures.
         namespace: the globals of its module.
         locals: what the frame that decorated it had, for annotations that Python keeps as text.
@@ -116,6 +116,10 @@ def _redirected_input() -> str:
 
 def _locate(code: CodeType, text: str, given: bool) -> tuple[ast.FunctionDef, Source]:
     text = text.replace("\r\n", "\n").replace("\r", "\n")
+    alone = None if given else _parse_alone(code, text)
+    if alone is not None:
+        _check_parameters(code, alone)
+        return alone, Source(code.co_filename, text)
     try:
         tree = _parse(text)
     except SyntaxError as error:
@@ -144,6 +148,52 @@ def _changed(code: CodeType, reason: str) -> SourceChanged:
 
 def _first_line(node: ast.FunctionDef) -> int:
     return min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+
+
+_MOST_ATTEMPTS = 8
+
+
+def _parse_alone(code: CodeType, text: str) -> ast.FunctionDef | None:
+    """The definition at the line where ``code`` begins; None where only the whole file tells, or there is no such one.
+
+    A large file takes longer to parse than a launch may take. The definition ends before a line that is not indented
+    further than it, unless that line goes on with a string or a bracket, when the stretch before it does not parse.
+    """
+    start, lines = code.co_firstlineno - 1, _lines(text)
+    if start >= len(lines) or "\f" in text:  # a form feed sets the indentation to nothing
+        return None
+    indented = _indentation(lines[start])
+    # Blank lines before it: the numbers of its lines are those of the file.
+    before = "\n" * (start - 1) + "if True:\n" if indented else "\n" * start
+    attempts = 0
+    for end in range(start + 1, len(lines) + 1):
+        last = end == len(lines)
+        if not last and (_indentation(lines[end]) > indented or lines[end].lstrip()[:1] in ("", "#")):
+            continue
+        try:
+            tree = ast.parse(before + "\n".join(lines[start:end]))
+        except SyntaxError:
+            attempts += 1
+            if attempts == _MOST_ATTEMPTS:
+                return None
+            continue
+        return _only_definition(tree, code)
+    return None
+
+
+def _only_definition(tree: ast.Module, code: CodeType) -> ast.FunctionDef | None:
+    match tree.body:
+        case [ast.FunctionDef() as node] | [ast.If(body=[ast.FunctionDef() as node])]:
+            found = node.name == code.co_name and _first_line(node) == code.co_firstlineno
+            return node if found else None
+        case _:
+            return None
+
+
+def _indentation(line: str) -> int:
+    """The column where ``line`` begins, as Python counts it."""
+    blank = line[: len(line) - len(line.lstrip(" \t"))]
+    return len(blank.expandtabs(8))
 
 
 @lru_cache(maxsize=64)
