@@ -7,6 +7,8 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import ebb
+from ebb.relations.family import family_of
+from ebb.runtime.buffer import Layout
 
 from .programs import defined, programs
 from .worlds import difference
@@ -52,3 +54,24 @@ def test_cpu_is_the_reference(salt, data):
 @given(program=programs())
 def test_cpu_is_the_reference_on_many_kernels(program):
     check_backends(program)
+
+
+@settings(max_examples=50, derandomize=True, **QUIET)
+@given(data=st.data())
+def test_no_layout_changes_anything(data):
+    program = data.draw(programs(30))
+    shaped = [field for field in program.world.fields if field.type.size > 1]
+    layouts = [data.draw(st.sampled_from(Layout)) for _ in shaped]
+    with defined(program) as kernel:
+        try:
+            kernel.check(program.relation)
+        except ebb.EbbError:
+            assume(False)
+        expected = run_on(program, kernel, "cpu")
+        for field, layout in zip(shaped, layouts, strict=True):
+            family_of(field).convert(layout)
+        for backend in ("cpu", "reference"):
+            found, codes = run_on(program, kernel, backend)
+            assert codes == expected[1]
+            if not codes:
+                assert difference(expected[0], found) is None
