@@ -12,7 +12,7 @@ import pytest
 from both_backends import checked
 from kir_forms import OnRows, binary, const, read, write
 
-import ebb.backends.compile as compiling
+import ebb.backends.llvm.optimize as optimizing
 from ebb.backends import cache as caching
 from ebb.backends.cache import DEFAULT_LIMIT, ObjectCache, cache_directory, cache_limit, cache_usage, key_of
 from ebb.backends.cpu import CpuBackend
@@ -43,13 +43,13 @@ def doubling():
 def compilations(monkeypatch):
     """The names of the programs that LLVM compiled."""
     names = []
-    optimize = compiling.optimize
+    optimize = optimizing.optimize
 
     def counting(text, target):
         names.append(text)
         return optimize(text, target)
 
-    monkeypatch.setattr(compiling, "optimize", counting)
+    monkeypatch.setattr(optimizing, "optimize", counting)
     return names
 
 
