@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 from ebb.compiler import kir
@@ -34,16 +35,30 @@ class CheckedKernel:
     hints: Hints
 
 
+@record
+class How:
+    """How a backend runs a kernel, in words, for ``kernel.explain``.
+
+    Attributes:
+        reductions: what is done with reductions into other rows.
+        order: in which order the rows run.
+    """
+
+    reductions: str
+    order: str
+
+
 class Bound(Protocol):
     """A kernel on one set of rows, with all that stays as it is until the structure changes put in place."""
 
-    def run(self, uniforms: tuple[Any, ...]) -> None:
+    def run(self, uniforms: Sequence[Any]) -> None:
         """Runs the kernel and waits until its effects can be seen. The caller holds ``launching()``.
 
         Fields may have been swapped since the kernel was bound, and their values changed; nothing else.
 
         Args:
-            uniforms: the values of ``kernel.uniforms`` as NumPy values of their types.
+            uniforms: the values of ``kernel.uniforms``: for a scalar a Python or NumPy number of the kind of its type,
+                a float perhaps with more digits than that has; for a vector or matrix an array.
 
         Raises:
             EbbError: an assertion or a bounds check of the kernel failed for some row.
@@ -62,6 +77,10 @@ class Executable(Protocol):
         Raises:
             BackendError: the kernel cannot be compiled.
         """
+        ...
+
+    def how(self, rows: RowSet) -> How:
+        """How a launch on ``rows`` goes for the data as it is. As for ``bind``, groupings are valid."""
         ...
 
     def inspect(self, stage: str) -> str | None:

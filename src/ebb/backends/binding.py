@@ -7,7 +7,7 @@ machine code.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,16 +17,17 @@ from ebb.backends.printing import PrintBuffer
 from ebb.backends.tiles import tile_boxes
 from ebb.compiler import kir, lir
 from ebb.compiler.lower import error_at
+from ebb.compiler.scatter.waves import Waves
 from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
-from ebb.runtime.buffer import Array, aligned_zeros, column_stride
-from ebb.runtime.cpu import BLOCKS, BOXES, ITEMS, ROWS, STARTS, WAVES, ArgumentBlock, CpuCode, CpuDevice
+from ebb.runtime.buffer import Array, Buffer, aligned_zeros, column_stride
+from ebb.runtime.cpu import BLOCKS, BOXES, ITEMS, ROWS, STARTS, THREADS, WAVES, ArgumentBlock, CpuCode, CpuDevice
 from ebb.types.types import Kind, ScalarType
 
 _VIEWS = {
-    (Kind.BOOL, 8): "B",
+    (Kind.BOOL, 8): "?",
     (Kind.SIGNED, 32): "i",
     (Kind.SIGNED, 64): "q",
     (Kind.UNSIGNED, 32): "I",
@@ -50,11 +51,16 @@ class Binding:
         self._layout = layout_of(program)
         self._block = ArgumentBlock(self._layout.words, device.threads)
         self._blocks = self._place_rows(rows)
-        self._shares = self._place_waves()
-        self._fields: list[tuple[int, Field]] = []
+        self._waves: Waves | None = None
+        self._shares = 0
+        self._alone = False
+        self._fields: list[Field] = []
+        self._field_words: list[int] = []
+        self._held: list[Buffer] = []
         self._sources: list[tuple[int, Callable[[], Array | None]]] = []
         self._arrays: list[Array] = []
-        self._uniforms: list[tuple[Callable[[int, Any], None], int, int, int]] = []
+        self._numbers: list[tuple[memoryview[Any], int, int]] = []
+        self._components: list[tuple[memoryview[Any], int, int, int]] = []
         self._random_words: dict[lir.RandomWord, int] = {}
         self._prints: PrintBuffer | None = None
         self._kept: list[Array] = []
@@ -63,8 +69,14 @@ class Binding:
         for argument in program.arguments:
             self._bind_argument(argument)
 
-    def settle(self) -> None:
-        """Puts the addresses of indexes in place, which lie elsewhere after a change of the structure."""
+    def settle(self, waves: Waves | None) -> None:
+        """Puts the addresses of indexes in place, which lie elsewhere after a change of the structure, and ``waves``.
+
+        Args:
+            waves: which blocks may run at once; None for all.
+        """
+        if self._shares == 0 or waves is not self._waves:
+            self._place_waves(waves)
         arrays: list[Array] = []
         for word, source in self._sources:
             array = source()
@@ -73,24 +85,26 @@ class Binding:
             arrays.append(array)
         self._arrays = arrays  # held while their addresses are in use
 
-    def run(self, uniforms: tuple[Any, ...]) -> None:
+    def run(self, uniforms: Sequence[Any]) -> None:
         """Launches the code once. The caller holds ``launching()``: there is one argument block.
 
         Raises:
             EbbError: an assertion or a check of the kernel failed for some row.
         """
-        words = self._block.numbers
-        # Held, so that no memory goes while the code runs, should another thread swap or group meanwhile.
-        held = [field.buffer for _, field in self._fields]
-        for (word, _), buffer in zip(self._fields, held, strict=True):
-            words[word] = buffer.address
-        for store, place, uniform, component in self._uniforms:
-            value = uniforms[uniform]
-            store(place, value.item() if component < 0 else value.flat[component].item())
+        buffers = [field.buffer for field in self._fields]
+        if buffers != self._held:
+            self._place_fields(buffers)
+        for view, place, uniform in self._numbers:
+            view[place] = uniforms[uniform]
+        for view, place, uniform, component in self._components:
+            view[place] = uniforms[uniform].flat[component]
         if self._random_words:
             self._draw_key()
         try:
-            failed = self._device.launch(self._code, self._block, self._shares)
+            if self._alone:
+                failed = self._code.launch(self._block.address)
+            else:
+                failed = self._device.launch(self._code, self._block, self._shares)
             failure = self._block.take_failure() if failed else None
         except BaseException:  # an interrupt: the failure of this launch is none of the next
             self._block.failures.fill(0)
@@ -100,6 +114,13 @@ class Binding:
         if failure is not None:
             site, position, payload = failure
             raise error_at(self._program.sites[site], self._kernel, position, payload)
+
+    def _place_fields(self, buffers: list[Buffer]) -> None:
+        words = self._block.numbers
+        for word, buffer in zip(self._field_words, buffers, strict=True):
+            words[word] = buffer.address
+        # Held, so that no memory goes while the code runs, should another thread swap or group meanwhile.
+        self._held = buffers
 
     # ---- What is bound once ----
 
@@ -116,22 +137,24 @@ class Binding:
         words[BLOCKS] = blocks
         return blocks
 
-    def _place_waves(self) -> int:
-        """Puts into the argument block which blocks may run at once; returns the most items of a wave."""
+    def _place_waves(self, waves: Waves | None) -> None:
+        """Puts into the argument block which blocks may run at once."""
         words = self._block.words
-        parallel = self._program.schedule is lir.Schedule.PARALLEL
-        self._items = np.array([0, self._blocks], dtype=np.int64)
-        self._starts = np.array([0, self._blocks if parallel else 1], dtype=np.int64)
-        words[ITEMS] = 0 if parallel else self._items.ctypes.data
+        self._waves = waves  # held while its addresses are in use
+        self._starts = np.array([0, self._blocks], dtype=np.int64) if waves is None else waves.starts
+        self._shares = self._blocks if waves is None else waves.widest
+        self._alone = self._shares == 1 or self._device.threads == 1
+        words[ITEMS] = 0 if waves is None else waves.items.ctypes.data
         words[STARTS] = self._starts.ctypes.data
-        words[WAVES] = 1
-        return self._blocks if parallel else 1
+        words[WAVES] = len(self._starts) - 1
+        words[THREADS] = 1
 
     def _bind_slot(self, slot: lir.Slot, rows: RowSet) -> None:
         word = self._layout.slots + slot.number
         match slot.binding:
             case lir.FieldData(field):
-                self._fields.append((word, field))
+                self._fields.append(field)
+                self._field_words.append(word)
             case lir.GroupOffsets(index):
                 self._sources.append((word, lambda: _grouping(index).offsets))
             case lir.GroupRows(index):
@@ -143,12 +166,12 @@ class Binding:
             case lir.GlobalData(globl):
                 self._sources.append((word, lambda: globl.data))
             case lir.Partials(reduction):
-                self._keep(word, (self._blocks * self._components(reduction),), slot.type)
+                self._keep(word, (self._blocks * self._size_of_sum(reduction),), slot.type)
             case lir.PrintRecords():
                 self._prints = PrintBuffer(self._kernel, self._program)
                 self._block.words[word] = self._prints.address
 
-    def _components(self, reduction: int) -> int:
+    def _size_of_sum(self, reduction: int) -> int:
         """The components of the reduction of that number: its sums are stored one block after the other."""
         sums = [stmt.var for stmt in self._program.block if isinstance(stmt, lir.Declare)]
         return sums[reduction].size
@@ -171,9 +194,11 @@ class Binding:
                 self._random_words[argument.binding] = word
             case lir.UniformComponent(uniform, component):
                 view = self._block.views[_VIEWS[argument.type.kind, argument.type.bits]]
-                shaped = self._kernel.uniforms[uniform].type.shape != ()
                 place = word * (8 // view.itemsize)
-                self._uniforms.append((view.__setitem__, place, uniform, component if shaped else -1))
+                if self._kernel.uniforms[uniform].type.shape:
+                    self._components.append((view, place, uniform, component))
+                else:
+                    self._numbers.append((view, place, uniform))
 
     def _draw_key(self) -> None:
         key = random.next_launch()

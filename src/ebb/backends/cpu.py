@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ebb.backends.backend import Bound, CheckedKernel
-from ebb.backends.binding import Binding
+from ebb.backends.backend import Bound, CheckedKernel, How
 from ebb.backends.cache import ObjectCache, cache_directory
-from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, object_code
+from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text
+from ebb.backends.kernel_code import Bindings, KernelCode, launched_as
 from ebb.backends.target import Target, host
+from ebb.backends.tiles import block_starts
 from ebb.compiler import lir, lir_print
 from ebb.compiler.kir_walk import draws
-from ebb.compiler.lower import Launched, lower, sources_of, variable_bytes
-from ebb.compiler.lower.facts import State
+from ebb.compiler.lower import variable_bytes
+from ebb.compiler.phases.order import InOrder, why_in_order
+from ebb.compiler.scatter.choose import ANY_ORDER, ROW_AFTER_ROW, Plan, Planner, Run
+from ebb.compiler.scatter.step import Step
+from ebb.compiler.scatter.waves import in_order
 from ebb.records import record
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
-from ebb.runtime.cpu import CpuCode, CpuDevice
+from ebb.runtime.cpu import CpuDevice
+from ebb.runtime.epoch import structure_changed
 from ebb.runtime.threads import thread_count
 
 _STAGES: dict[str, Callable[[lir.Program, Target], str]] = {
@@ -77,9 +82,10 @@ class CpuExecutable:
     def __init__(self, checked: CheckedKernel, backend: CpuBackend) -> None:
         self._checked = checked
         self._backend = backend
-        self._sources = sources_of(checked.kernel)
-        self._compiled: dict[tuple[Launched, State], tuple[lir.Program, CpuCode]] = {}
-        self._bindings: dict[tuple[RowSet, State], Binding] = {}
+        self._step = Step(checked.kernel, checked.phases, tuple(access.node for access in checked.stencil))
+        self._in_order = why_in_order(checked.kernel, checked.phases)
+        self._codes: dict[Step, KernelCode] = {}
+        self._planners: dict[RowSet, Planner] = {}
 
     def bind(self, rows: RowSet) -> Bound:
         """The code for the data as it is, bound to ``rows``: compiled, where it is met so for the first time.
@@ -92,40 +98,51 @@ class CpuExecutable:
         """
         if rows.size == 0:
             return _NoRows(draws(self._checked.kernel))
-        state = self._sources.state()
-        binding = self._bindings.get((rows, state))
-        if binding is None:
-            program, code = self._compile(_launched(rows), state)
-            device = self._backend.device
-            binding = self._bindings[rows, state] = Binding(self._checked.kernel, program, code, device, rows)
-        binding.settle()
-        return binding
+        plan = self.plan(rows)
+        if not plan.settled:
+            structure_changed()  # so that the next launch is planned again
+        bound = [self._code(run.step).bind(run.rows, run.waves) for run in plan.runs if run.rows.size]
+        return bound[0] if len(bound) == 1 else Bindings(bound)
+
+    def plan(self, rows: RowSet) -> Plan:
+        """What a launch on ``rows``, which are some, runs and in which order."""
+        match self._in_order:
+            case None:
+                return Plan((Run(self._step, rows, None),), "", ANY_ORDER, ())
+            case InOrder.PRINTS:
+                waves = in_order(len(block_starts(rows)) - 1)
+                order = f"one after the other, {InOrder.PRINTS.value}"
+                return Plan((Run(self._step, rows, waves),), ROW_AFTER_ROW, order, ())
+            case InOrder.SHARED_SUMS:
+                planner = self._planners.get(rows)
+                if planner is None:
+                    planner = self._planners[rows] = Planner(self._step, rows, lambda: block_starts(rows))
+                return planner.plan()
+
+    def how(self, rows: RowSet) -> How:
+        """How a launch on ``rows`` does its reductions into other rows, and in which order the rows run."""
+        if rows.size == 0:
+            return How(ROW_AFTER_ROW, ANY_ORDER)
+        plan = self.plan(rows)
+        return How(plan.how, plan.order)
 
     def inspect(self, stage: str) -> str | None:
         """The text of the stage ``lir``, ``llvm`` or ``asm`` for a launch on all rows; None for any other."""
         if stage not in _STAGES:
             return None
-        program = self._lower(_launched(self._checked.kernel.relation), self._sources.state())
-        return _STAGES[stage](program, host())
+        rows = self._checked.kernel.relation
+        steps = [(self._step, rows)]
+        if rows.size:
+            steps = [(run.step, run.rows) for run in self.plan(rows).runs]
+        programs = [self._code(step).program(launched_as(of)) for step, of in steps]
+        return "\n".join(_STAGES[stage](program, host()) for program in programs)
 
-    def _compile(self, launched: Launched, state: State) -> tuple[lir.Program, CpuCode]:
-        found = self._compiled.get((launched, state))
-        if found is None:
-            program = self._lower(launched, state)
-            code = self._backend.device.load(program.name, object_code(program, host(), self._backend.cache))
-            found = self._compiled[launched, state] = program, code
-        return found
-
-    def _lower(self, launched: Launched, state: State) -> lir.Program:
-        checked = self._checked
-        return lower(
-            checked.kernel,
-            checked.phases,
-            [access.node for access in checked.stencil],
-            self._sources.facts(state),
-            launched,
-            lir.Precision.FAST if checked.hints.fastmath else lir.Precision.CONTRACT,
-        )
+    def _code(self, step: Step) -> KernelCode:
+        code = self._codes.get(step)
+        if code is None:
+            precision = lir.Precision.FAST if self._checked.hints.fastmath else lir.Precision.CONTRACT
+            code = self._codes[step] = KernelCode(step, precision, self._backend.device, self._backend.cache)
+        return code
 
 
 @record
@@ -134,13 +151,7 @@ class _NoRows:
 
     draws: bool
 
-    def run(self, uniforms: tuple[Any, ...]) -> None:
+    def run(self, uniforms: Sequence[Any]) -> None:
         del uniforms
         if self.draws:
             random.next_launch()
-
-
-def _launched(rows: RowSet) -> Launched:
-    if rows.boxes is not None:
-        return Launched.BOXES
-    return Launched.ALL if rows.row_positions() is None else Launched.LISTED

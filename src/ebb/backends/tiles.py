@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ebb.compiler.lir import BLOCK_ROWS
-from ebb.relations.subset import Box
+from ebb.relations.subset import Box, RowSet
 
 
 def tile_boxes(boxes: Sequence[Box]) -> npt.NDArray[np.int64]:
@@ -24,6 +24,14 @@ def tile_boxes(boxes: Sequence[Box]) -> npt.NDArray[np.int64]:
     parts = [_tiles(box) for box in boxes if box.size]
     ndim = len(boxes[0].start) if boxes else 1
     return np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, ndim, 2), dtype=np.int64)
+
+
+def block_starts(rows: RowSet) -> npt.NDArray[np.int64]:
+    """The number in a launch on ``rows`` of the first row of each block, and the number of rows."""
+    if rows.boxes is None:
+        return np.minimum(np.arange(-(-rows.size // BLOCK_ROWS) + 1) * BLOCK_ROWS, rows.size)
+    tiles = tile_boxes(rows.boxes)
+    return np.concatenate(([0], np.cumsum((tiles[:, :, 1] - tiles[:, :, 0]).prod(axis=1))))
 
 
 def _tiles(box: Box) -> npt.NDArray[np.int64]:

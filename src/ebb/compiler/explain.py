@@ -8,7 +8,6 @@ from ebb.compiler import kir
 from ebb.compiler.cost import Cost, cost_of, group_size
 from ebb.compiler.kir_walk import queried_fields, statements
 from ebb.compiler.phases.centered import find_centered
-from ebb.compiler.phases.order import why_in_order
 from ebb.compiler.phases.stencil import Access, collect_stencil, describe_move, target_of, written_at
 from ebb.compiler.phases.table import FieldPhase, PhaseKind, PhaseTable
 from ebb.compiler.phases.uses import collect_uses
@@ -18,20 +17,22 @@ from ebb.relations.globals import Global
 from ebb.relations.relation import Relation
 
 
-def explain(kernel: kir.Kernel, phases: PhaseTable) -> str:
+def explain(kernel: kir.Kernel, phases: PhaseTable, scattered: str, order: str) -> str:
     """How ``kernel`` runs on the data that its relations hold now.
 
     Args:
         kernel: a kernel after the passes.
         phases: of its fields and globals.
+        scattered: how the backend does reductions into other rows.
+        order: in which order it runs the rows.
     """
     sections = (
         ("fields", _columns(_field_row(field, phase) for field, phase in phases.fields.items())),
         ("globals", _columns(_global_rows(kernel, phases))),
-        ("reductions", _columns(_reduction_rows(kernel, phases))),
+        ("reductions", _columns(_reduction_rows(kernel, phases, scattered))),
         ("queries", [_query_line(index) for index in queried_fields(kernel)]),
         ("stencil", _columns(_stencil_row(access) for access in collect_stencil(kernel))),
-        ("order of rows", [_order_line(kernel, phases)]),
+        ("order of rows", [order]),
         ("storage", [_storage_line(relation) for relation in _relations(kernel, phases)]),
         ("cost of a row", _cost_lines(cost_of(kernel))),
     )
@@ -46,8 +47,12 @@ def explain(kernel: kir.Kernel, phases: PhaseTable) -> str:
 def _field_row(field: Field, phase: FieldPhase) -> tuple[str, ...]:
     does = [verb for verb, holds in _verbs(phase) if holds]
     where = "own row" if phase.centered_only else "any row"
-    size = field.type.size * field.type.dtype.itemsize
-    return (field.path, str(phase), f"{', '.join(does)}; {where}", repr(field.type), f"{size} bytes a row, contiguous")
+    return (field.path, str(phase), f"{', '.join(does)}; {where}", repr(field.type), _layout(field))
+
+
+def _layout(field: Field) -> str:
+    size = f"{field.type.size * field.type.dtype.itemsize} bytes a row"
+    return size if field.type.size == 1 else f"{size}, in {field.buffer.layout.value}"
 
 
 def _verbs(phase: FieldPhase) -> Iterator[tuple[str, bool]]:
@@ -69,7 +74,7 @@ def _global_text(spans: Sequence[Span]) -> str:
     return next((span.text for span in spans), "unused")
 
 
-def _reduction_rows(kernel: kir.Kernel, phases: PhaseTable) -> Iterator[tuple[str, ...]]:
+def _reduction_rows(kernel: kir.Kernel, phases: PhaseTable, scattered: str) -> Iterator[tuple[str, ...]]:
     """One row for each reduced field and global: what is reduced, where, and how it is done."""
     found: dict[tuple[Field | Global, str], list[Span]] = {}
     for stmt in statements(kernel.body):
@@ -81,14 +86,14 @@ def _reduction_rows(kernel: kir.Kernel, phases: PhaseTable) -> Iterator[tuple[st
     for (place, op), spans in found.items():
         lines = ", ".join(map(str, sorted({_kernel_line(span) for span in spans})))
         name = place.path if isinstance(place, Field) else _global_text(spans)
-        yield f"{name} {op}", f"line {lines}", _strategy(place, phases)
+        yield f"{name} {op}", f"line {lines}", _strategy(place, phases, scattered)
 
 
-def _strategy(place: Field | Global, phases: PhaseTable) -> str:
+def _strategy(place: Field | Global, phases: PhaseTable, scattered: str) -> str:
     if isinstance(place, Global):
         return "one partial result a block of rows, combined in the order of the blocks"
     if phases.fields[place].kind is PhaseKind.REDUCE:
-        return "into other rows: row after row in storage order, on one thread"
+        return scattered
     return "own row: no other row touches it"
 
 
@@ -107,11 +112,6 @@ def _query_line(index: Field) -> str:
 def _stencil_row(access: Access) -> tuple[str, ...]:
     how = "clamped" if access.node.edge is kir.Edge.CLAMP else "checked before the launch"
     return written_at(access.node.span).text, f"{describe_move(access)} into {target_of(access.node).name}", how
-
-
-def _order_line(kernel: kir.Kernel, phases: PhaseTable) -> str:
-    reason = why_in_order(kernel, phases)
-    return f"one after the other, {reason.value}" if reason else "any: blocks of rows run on all threads"
 
 
 def _storage_line(relation: Relation) -> str:

@@ -395,13 +395,6 @@ Stmt: TypeAlias = (
 # ---- Programs. ----
 
 
-class Schedule(Enum):
-    """Which blocks may run at once."""
-
-    PARALLEL = "parallel"
-    ORDERED = "ordered"
-
-
 class Space(Enum):
     """How the rows of a launch are numbered.
 
@@ -441,7 +434,6 @@ class Program:
     name: str
     space: Space
     dimensions: int
-    schedule: Schedule
     precision: Precision
     slots: tuple[Slot, ...]
     arguments: tuple[Argument, ...]

@@ -25,7 +25,7 @@ def statement(stmt: lir.Stmt) -> str:
 
 def _program(program: lir.Program) -> Iterator[str]:
     space = program.space.value if program.space is lir.Space.LINE else f"box {program.dimensions}"
-    yield f"program {program.name} over {space}, {program.schedule.value}, floats {program.precision.value}"
+    yield f"program {program.name} over {space}, floats {program.precision.value}"
     for slot in program.slots:
         yield f"{_INDENT}slot s{slot.number}: {slot.type!r} {slot.access.value}  # {_binding(slot.binding)}"
     for argument in program.arguments:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from ebb.backends.backend import CheckedKernel
+import numpy as np
+
+from ebb.backends.backend import CheckedKernel, How
 from ebb.backends.reference.interpreter import run
 from ebb.compiler import kir
 from ebb.records import record
@@ -18,9 +21,12 @@ class ReferenceBound:
     kernel: kir.Kernel
     rows: RowSet
 
-    def run(self, uniforms: tuple[Any, ...]) -> None:
+    def run(self, uniforms: Sequence[Any]) -> None:
         """Runs the kernel; raises as ``run``."""
-        run(self.kernel, self.rows, uniforms)
+        pairs = zip(self.kernel.uniforms, uniforms, strict=True)
+        with np.errstate(over="ignore"):  # beyond its range float32 is infinite, as it is for literals
+            values = tuple([uniform.type.dtype.type(v) if np.ndim(v) == 0 else v for uniform, v in pairs])
+        run(self.kernel, self.rows, values)
 
 
 @record(eq=False)
@@ -32,6 +38,11 @@ class ReferenceExecutable:
     def bind(self, rows: RowSet) -> ReferenceBound:
         """The kernel on ``rows``."""
         return ReferenceBound(self.kernel, rows)
+
+    def how(self, rows: RowSet) -> How:
+        """One row after the other."""
+        del rows
+        return How("into other rows: row after row in storage order", "one after the other, in storage order")
 
     def inspect(self, stage: str) -> str | None:
         """None: there is no stage beyond KIR."""

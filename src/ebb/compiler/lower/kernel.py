@@ -36,8 +36,7 @@ def lower(
         precision: what the optimiser may do to floats.
     """
     ctx = Context(kernel, phases, frozenset(unchecked), facts)
-    schedule = lir.Schedule.PARALLEL if why_in_order(kernel, phases) is None else lir.Schedule.ORDERED
-    rows = lir.Rows.INDEPENDENT if schedule is lir.Schedule.PARALLEL else lir.Rows.IN_ORDER
+    rows = lir.Rows.INDEPENDENT if why_in_order(kernel, phases) is None else lir.Rows.IN_ORDER
     reduced = reduced_globals(kernel)
     block_number = ctx.build.temp(int64)
     dimensions = kernel.relation.ndim if launched is Launched.BOXES else 1
@@ -52,7 +51,6 @@ def lower(
         name=kernel.name,
         space=lir.Space.BOX if launched is Launched.BOXES else lir.Space.LINE,
         dimensions=dimensions,
-        schedule=schedule,
         precision=precision,
         slots=tuple(ctx.slots.values()),
         arguments=tuple(ctx.arguments.values()),

@@ -14,6 +14,7 @@ import numpy as np
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import statements
+from ebb.compiler.lower.facts import target as relation_of
 from ebb.compiler.phases.centered import Centered, find_centered, single_assignments
 from ebb.compiler.phases.stencil import Coordinates, find_outside, map_coordinates, open_mesh, settled, target_of
 from ebb.compiler.phases.table import PhaseKind, PhaseTable
@@ -90,7 +91,7 @@ def find_touched(kernel: kir.Kernel, phases: PhaseTable, rows: RowSet) -> Touche
     follower = _Follower(kernel, phases, rows)
     try:
         follower.body(kernel.body, _Scope(rows.size))
-    except _Unknown as unknown:
+    except _UnknownError as unknown:
         return unknown.reason
     return Touches(tuple(follower.places), tuple(follower.read))
 
@@ -104,7 +105,7 @@ def own_positions(rows: RowSet) -> Array | None:
     return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
 
-class _Unknown(Exception):
+class _UnknownError(Exception):
     """A key cannot be followed."""
 
     def __init__(self, span: Span, why: str) -> None:
@@ -183,7 +184,7 @@ class _Follower:
     def count(self, more: int, span: Span) -> None:
         self.total += more
         if self.total > MOST_TOUCHED:
-            raise _Unknown(span, "there are too many places to list")
+            raise _UnknownError(span, "there are too many places to list")
 
     def for_range(self, stmt: kir.ForRange, scope: _Scope) -> None:
         if not self.reduces(stmt.body):
@@ -233,9 +234,9 @@ class _Follower:
             case kir.Affine(_, base):
                 return self.affine(key, base, scope)
             case kir.ReadField() | kir.Component():
-                return cast("Array", self.keys(key, scope))
+                return self.keys(key, scope)
             case _:
-                raise _Unknown(key.span, _dependence(key))
+                raise _UnknownError(key.span, _dependence(key))
 
     def own_rows(self, scope: _Scope) -> _Rows:
         if scope.owners is None:
@@ -255,12 +256,12 @@ class _Follower:
                 rows = self.rows(elements[index[0]], scope)
                 return np.arange(scope.size) if isinstance(rows, slice) else rows
             case _:
-                raise _Unknown(expr.span, _dependence(expr))
+                raise _UnknownError(expr.span, _dependence(expr))
 
     def read_keys(self, source: Field, rows: _Rows, index: tuple[int, ...], span: Span) -> Array:
         phase = self.phases.fields.get(source)
         if phase is None or phase.kind is not PhaseKind.READ:
-            raise _Unknown(span, f"the kernel changes '{source.path}'")
+            raise _UnknownError(span, f"the kernel changes '{source.path}'")
         self.read[source] = None
         found: Array = source.data[(rows, *index)]
         if self.unset and not isinstance(rows, slice):
@@ -278,7 +279,7 @@ class _Follower:
             case kir.Cast(operand):
                 return self.number(operand, scope)
             case _:
-                raise _Unknown(expr.span, _dependence(expr))
+                raise _UnknownError(expr.span, _dependence(expr))
 
     # ---- Grids ----
 
@@ -290,7 +291,7 @@ class _Follower:
             parts = [_along(steps, open_mesh(box.slices), target, _extents(box)) for box in boxes]
             return np.concatenate(parts) if len(parts) != 1 else parts[0]
         rows = self.rows(base, scope)
-        source = cast("Relation", base.type.scalar.target)  # pyright: ignore[reportAttributeAccessIssue]
+        source = relation_of(base.type)
         positions = np.arange(scope.size) if isinstance(rows, slice) else rows
         shape = tuple(max(extent, 1) for extent in source.shape)
         at = [np.asarray(axis) for axis in np.unravel_index(np.maximum(positions, 0), shape)]

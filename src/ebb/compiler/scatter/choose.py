@@ -1,0 +1,319 @@
+"""How reductions into other rows are done: in colours, gathered, staged, or in row order on one thread.
+
+Every way is a function of the program and its data alone, never of the number of threads, and so are the bits of the
+results. The model judges each way by the time that a row takes, shared by ``waves.WIDTH`` threads: the bytes and
+operations of ``cost_of``, weighted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
+
+from ebb.compiler import kir
+from ebb.compiler.cost import Cost, cost_of
+from ebb.compiler.lir import BLOCK_ROWS, Precision
+from ebb.compiler.lower import Launched, lower, sources_of
+from ebb.compiler.scatter.gather import Route, Routes, find_routes, gather
+from ebb.compiler.scatter.staged import Stage, make_stages, stage, staged_parts
+from ebb.compiler.scatter.step import Step
+from ebb.compiler.scatter.touched import NotStatic, Touches, find_touched, own_positions
+from ebb.compiler.scatter.waves import WIDTH, Waves, colour, efficiency, in_order
+from ebb.errors import RelationError
+from ebb.records import record
+from ebb.relations.field import Field
+from ebb.relations.inverse import hidden_index, index_keys
+from ebb.relations.subset import RowSet
+from ebb.runtime.buffer import Array
+
+FEW_BLOCKS = 4
+"""Launches of fewer blocks than this run in row order: there is nothing to share."""
+
+OWN_BYTE, OTHER_BYTE, WRITTEN_BYTE, OPERATION = 0.05, 0.12, 0.1, 0.08
+"""Nanoseconds: for a byte of the own row, of another row, or written; for an operation on scalars."""
+
+LISTED_ROW = 1.0
+"""Nanoseconds for a row that is found through a list: what belongs to it lies anywhere."""
+
+ANY_ORDER = "any: blocks of rows run on all threads"
+
+ROW_AFTER_ROW = "into other rows: row after row in storage order, on one thread"
+
+CLEAR = 1.25
+"""How much quicker than in row order, on ``WIDTH`` threads, a way must be to be taken."""
+
+
+class Way(Enum):
+    """How reductions into other rows are done."""
+
+    IN_ORDER = "in order"
+    COLOURS = "colours"
+    GATHER = "gather"
+    STAGE = "stage"
+
+
+def quickest(times: Mapping[Way, float]) -> Way:
+    """The way that takes the least time, by the model; row order where that is hardly slower."""
+    best = min(times, key=lambda way: times[way])
+    return Way.IN_ORDER if times[Way.IN_ORDER] < CLEAR * times[best] else best
+
+
+@record(eq=False)
+class Run:
+    """A step on a set of rows. ``waves`` is None where all blocks may run at once."""
+
+    step: Step
+    rows: RowSet
+    waves: Waves | None
+
+
+@record(eq=False)
+class Plan:
+    """What a launch runs, one after the other.
+
+    Attributes:
+        runs: the kernels and their rows.
+        how: how the reductions are done, for ``explain``.
+        order: in which order the rows run, for ``explain``.
+        read: the key fields on whose values the plan depends.
+        settled: whether it stands until these change; else it is only for the next launch.
+    """
+
+    runs: tuple[Run, ...]
+    how: str
+    order: str
+    read: tuple[Field, ...]
+    settled: bool = True
+
+
+class Planner:
+    """Plans the launches of one kernel on one set of rows, and keeps what belongs to each way."""
+
+    def __init__(self, step: Step, rows: RowSet, starts: Callable[[], Array]) -> None:
+        """``starts`` gives the number in the launch of the first row of each block, and the number of rows."""
+        self._starts = starts
+        self._step = step
+        self._rows = rows
+        self._routes = find_routes(step.kernel, step.phases)
+        self._hidden: dict[Route, Field] = {}
+        self._gathered: dict[tuple[Field, ...], list[Step]] = {}
+        self._stages: tuple[tuple[Stage, ...], list[Step]] | None = None
+        self._plan: Plan | None = None
+        self._made_at: object = None
+        self._seen: object = None
+        self._builds = 0
+
+    def plan(self) -> Plan:
+        """The plan for the keys as they are. Its indexes are valid.
+
+        Where keys change before launch after launch, rows run in order: an index or colours would pay for one launch
+        only. The plan is made again once the keys have stayed the same for a launch.
+        """
+        now = self._state()
+        before, self._seen = self._seen, now
+        if self._plan is not None and now == self._made_at:
+            self._builds = 0
+            return self._plan
+        if self._builds >= 2 and now != before:
+            return self._in_order("the keys changed before each of the last launches", settled=False)
+        self._builds += 1
+        self._plan = self._make()
+        self._made_at = self._seen = self._state()  # refreshing a grouping may have permuted its relation
+        return self._plan
+
+    def _state(self) -> object:
+        """What a plan depends on of the data."""
+        if self._plan is None:
+            return None
+        fields = self._plan.read
+        targets = [field.target for field in fields if field.target is not None]
+        relations = [self._rows.relation, *targets]
+        return (
+            *[(field.version, field.grouping) for field in fields],
+            *[relation.storage.version for relation in relations],
+        )
+
+    # ---- The choice ----
+
+    def _make(self) -> Plan:
+        step, rows = self._step, self._rows
+        if rows.size < FEW_BLOCKS * BLOCK_ROWS:
+            return self._in_order(f"fewer than {FEW_BLOCKS} blocks of {BLOCK_ROWS:,} rows")
+        again = self._may_gather()
+        if again is not None and all(self._is_range(route) for route in again.all):
+            return self._gather_ranges(again)
+        touches = find_touched(step.kernel, step.phases, rows)
+        if isinstance(touches, NotStatic):
+            return self._in_order(f"the places depend on {touches.why}")
+        waves = colour(touches.places, self._starts())
+        times = {Way.IN_ORDER: self._time(step, rows) * WIDTH}
+        if waves is not None:
+            times[Way.COLOURS] = self._time(step, rows) / efficiency(waves)
+        if again is not None:
+            times[Way.GATHER] = self._gather_time(again)
+        parts = staged_parts(step.kernel, step.phases)
+        if not isinstance(parts, str):
+            self._stages = self._stages or self._make_stages(parts)
+            times[Way.STAGE] = self._stage_time(self._stages)
+        return self._by(quickest(times), touches, waves)
+
+    def _by(self, way: Way, touches: Touches, waves: Waves | None) -> Plan:
+        match way:
+            case Way.COLOURS:
+                assert waves is not None
+                return self._colours(waves, touches)
+            case Way.GATHER:
+                assert not isinstance(self._routes, str)
+                return self._gather(self._routes, touches)
+            case Way.STAGE:
+                assert self._stages is not None
+                return self._stage(self._stages, touches)
+            case Way.IN_ORDER:
+                return self._in_order("no other way is clearly quicker")
+
+    def _in_order(self, why: str, settled: bool = True) -> Plan:
+        order = f"one after the other, so that sums in other rows do not depend on the threads: {why}"
+        read = self._plan.read if self._plan is not None and not settled else self._key_fields()
+        waves = in_order(len(self._starts()) - 1)
+        return Plan((Run(self._step, self._rows, waves),), ROW_AFTER_ROW, order, read, settled)
+
+    def _key_fields(self) -> tuple[Field, ...]:
+        """The key fields that the kernel follows and does not change."""
+        fields = self._step.phases.fields.items()
+        return tuple(field for field, phase in fields if field.target is not None and not phase.changed)
+
+    # ---- Colours ----
+
+    def _colours(self, waves: Waves, touches: Touches) -> Plan:
+        rows = f"{waves.chunk * BLOCK_ROWS:,} rows" if self._rows.boxes is None else f"{waves.chunk} blocks"
+        how = f"into other rows, coloured: {_count(len(waves.sizes), 'wave')} of {_sizes(waves)} chunks of {rows}"
+        order = "in waves of blocks that have no place in common; those of a wave run on all threads"
+        return Plan((Run(self._step, self._rows, waves),), how, order, touches.read)
+
+    # ---- Gather ----
+
+    def _may_gather(self) -> Routes | None:
+        """The routes by which values may be computed again for each target, or None."""
+        routes, step = self._routes, self._step
+        if isinstance(routes, str) or (None in routes.all and own_positions(self._rows) is not None):
+            return None
+        sources = sources_of(step.kernel)
+        facts = sources.facts(sources.state())
+        program = lower(step.kernel, step.phases, step.unchecked, facts, Launched.ALL, Precision.CONTRACT)
+        return None if program.sites else routes  # whatever can fail has to fail in the order of rows
+
+    def _is_range(self, route: Route) -> bool:
+        """Whether the rows that refer to a target are stored one after the other."""
+        if route is None:
+            return True
+        field, _ = route
+        if field.grouping is None or own_positions(self._rows) is not None:
+            return False
+        try:
+            field.grouping.refresh()
+        except RelationError:  # a view is open: the storage has to stay as it is
+            return False
+        return field.grouping.rows is None
+
+    def _indexes(self, routes: Routes) -> dict[Route, Field]:
+        """The field whose grouping finds the rows by their target, for each route."""
+        found: dict[Route, Field] = {}
+        for route in routes.all:
+            if route is None:
+                continue
+            if self._is_range(route):
+                found[route] = route[0]
+                continue
+            if route not in self._hidden:
+                name = "_".join((route[0].name, *map(str, route[1]), "inverse"))
+                assert route[0].target is not None
+                self._hidden[route] = hidden_index(self._rows.relation, name, route[0].target)
+            found[route] = self._hidden[route]
+        return found
+
+    def _gather_steps(self, routes: Routes, indexes: Mapping[Route, Field]) -> list[Step]:
+        key = tuple(indexes.values())
+        if key not in self._gathered:
+            self._gathered[key] = gather(self._step.kernel, routes, indexes, self._step.unchecked)
+        return self._gathered[key]
+
+    def _gather_time(self, routes: Routes) -> float:
+        indexes = self._indexes(routes)
+        listed = sum(index in self._hidden.values() for index in indexes.values())
+        return self._times(self._gather_steps(routes, indexes)) + listed * self._rows.size * LISTED_ROW
+
+    def _gather(self, routes: Routes, touches: Touches) -> Plan:
+        indexes = self._indexes(routes)
+        own = own_positions(self._rows)
+        for route, index in indexes.items():
+            if route is not None and index is self._hidden.get(route):
+                field, component = route
+                keys = field.data[(slice(None) if own is None else own, *component)]
+                index_keys(index, keys, own)
+        names = ", ".join(_route_text(route) for route in indexes)
+        how = f"into other rows, gathered through the inverse of {names}: each value is computed where it is needed"
+        return self._gather_plan(routes, indexes, how, touches.read)
+
+    def _gather_ranges(self, routes: Routes) -> Plan:
+        indexes = self._indexes(routes)
+        names = ", ".join(_route_text(route) for route in indexes)
+        how = f"into other rows, gathered through the inverse of {names}: its groups are ranges"
+        return self._gather_plan(routes, indexes, how, tuple(dict.fromkeys(indexes.values())))
+
+    def _gather_plan(self, routes: Routes, indexes: Mapping[Route, Field], how: str, read: tuple[Field, ...]) -> Plan:
+        steps = self._gather_steps(routes, indexes)
+        return Plan(tuple(Run(step, self._rows_of(step), None) for step in steps), how, ANY_ORDER, read)
+
+    # ---- Stages ----
+
+    def _make_stages(self, parts: dict[Field, tuple[kir.ReduceField, ...]]) -> tuple[tuple[Stage, ...], list[Step]]:
+        stages = make_stages(self._rows.relation, parts)
+        return stages, stage(self._step.kernel, stages, self._step.unchecked)
+
+    def _stage_time(self, staged: tuple[tuple[Stage, ...], list[Step]]) -> float:
+        stages, steps = staged
+        given = sum(len(each.parts) for each in stages)
+        return self._times(steps) + given * self._rows.size * LISTED_ROW
+
+    def _stage(self, staged: tuple[tuple[Stage, ...], list[Step]], touches: Touches) -> Plan:
+        stages, steps = staged
+        own = own_positions(self._rows)
+        for each in stages:
+            each.refresh(touches.places, own)
+        how = "into other rows, staged: each row writes what it gives, and each target gathers it"
+        return Plan(tuple(Run(step, self._rows_of(step), None) for step in steps), how, ANY_ORDER, touches.read)
+
+    # ---- Costs ----
+
+    def _rows_of(self, step: Step) -> RowSet:
+        """The rows that a step runs on: those of the launch, or all of a target."""
+        of_launch = step.kernel.row == self._step.kernel.row
+        return self._rows if of_launch else step.kernel.relation
+
+    def _times(self, steps: Sequence[Step]) -> float:
+        return sum(self._time(step, self._rows_of(step)) for step in steps)
+
+    def _time(self, step: Step, rows: RowSet) -> float:
+        return rows.size * _row_time(cost_of(step.kernel))
+
+
+def _row_time(cost: Cost) -> float:
+    moved = cost.own_bytes * OWN_BYTE + cost.other_bytes * OTHER_BYTE + cost.written_bytes * WRITTEN_BYTE
+    return moved + cost.operations * OPERATION
+
+
+def _route_text(route: Route) -> str:
+    assert route is not None
+    field, index = route
+    return field.path + (f"[{', '.join(map(str, index))}]" if index else "")
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _sizes(waves: Waves) -> str:
+    sizes = [f"{size:,}" for size in waves.sizes]
+    if len(sizes) > 4:
+        return f"up to {max(waves.sizes):,}"
+    return " and ".join((", ".join(sizes[:-1]), sizes[-1])) if len(sizes) > 1 else sizes[0]
