@@ -10,21 +10,23 @@ from __future__ import annotations
 import functools
 import inspect
 from collections import ChainMap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import CodeType, FrameType, FunctionType
 from typing import Any, overload
 
 from ebb.backends.backend import CheckedKernel, Hints
 from ebb.backends.select import current_backend
-from ebb.compiler import kir_print, kir_walk
+from ebb.compiler import kir, kir_print, kir_walk
 from ebb.compiler.arguments import argument_type, check_argument
 from ebb.compiler.elaborate.elaborate import elaborate
 from ebb.compiler.elaborate.errors import NotAFunction
 from ebb.compiler.elaborate.errors_syntax import TooDeep
 from ebb.compiler.elaborate.function import Func
+from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
 from ebb.compiler.elaborate.source import SourceFunction, find_source
 from ebb.compiler.explain import explain
+from ebb.compiler.inputs import Inputs
 from ebb.compiler.launch_errors import ArgumentCount, ArgumentType, NotRows, RowsMismatch, UnknownStage
 from ebb.compiler.phases.check import check_phases
 from ebb.compiler.phases.reach import collect_reaches
@@ -43,12 +45,10 @@ _Types = tuple[ParameterType, ...]
 
 @record(eq=False)
 class _Compiled:
-    """What a kernel keeps for one relation: its specialisations by parameter types, and its launches on row sets."""
+    """What a kernel keeps for one relation: its specialisations by parameter types, and its launches by row set."""
 
     specialisations: dict[_Types, list[Specialisation]] = field(default_factory=dict[_Types, list[Specialisation]])
-    launches: dict[tuple[RowSet, _Types], list[Launch]] = field(
-        default_factory=dict[tuple[RowSet, _Types], list[Launch]]
-    )
+    launches: dict[RowSet, list[Launch]] = field(default_factory=dict[RowSet, list[Launch]])
 
 
 class Kernel:
@@ -84,8 +84,16 @@ class Kernel:
             EbbError: the kernel is wrong, does not fit the rows or the parameters, or failed for some row.
         """
         try:
+            if not named:
+                # A launch that has run before, if its inputs have the form that it knows. All else goes the long way.
+                for launch in self._known_launches(rows):
+                    uniforms = launch.take(parameters)
+                    if uniforms is not None:
+                        launch.run(uniforms)
+                        return
             arguments = self._bind(rows, parameters, named)
-            self._find_launch(rows, arguments).run(arguments)
+            launch = self._find_launch(rows, arguments)
+            launch.run(launch.specialisation.uniforms(arguments))
         except EbbError as error:
             raise trimmed(error) from error.__cause__
 
@@ -111,7 +119,8 @@ class Kernel:
         """
         launch = self._find_launch(rows, self._bind(rows, parameters, named))
         checked = launch.specialisation.checked
-        text = explain(checked.kernel, checked.phases)
+        how = launch.how()
+        text = explain(checked.kernel, checked.phases, how.reductions, how.order)
         print(text)
         return text
 
@@ -185,6 +194,13 @@ class Kernel:
             raise KernelTypeError(ArgumentType(self._name, name, value, None))
         return bare
 
+    def _known_launches(self, rows: RowSet) -> Sequence[Launch]:
+        """The launches on ``rows`` so far, whatever their parameters; of what is no set of rows there are none."""
+        try:
+            return rows.storage.compiled[self].launches[rows]
+        except (AttributeError, KeyError, TypeError):
+            return ()
+
     def _compiled(self, relation: Relation) -> _Compiled:
         kept = relation.storage.compiled
         found = kept.get(self)
@@ -192,9 +208,9 @@ class Kernel:
 
     def _find_launch(self, rows: RowSet, arguments: tuple[Any, ...]) -> Launch:
         types = self._types(arguments) if arguments else ()
-        launches = self._compiled(rows.relation).launches.setdefault((rows, types), [])
+        launches = self._compiled(rows.relation).launches.setdefault(rows, [])
         for launch in launches:
-            if launch.specialisation.holds(arguments):
+            if launch.specialisation.types == types and launch.specialisation.holds(arguments):
                 return launch
         specialisation = self._find_specialisation(rows.relation, types, arguments)
         checked = specialisation.checked
@@ -221,6 +237,10 @@ class Kernel:
         except RecursionError:
             raise KernelSyntaxError(TooDeep(self._name)) from None
 
+    def _inputs(self, types: _Types, guards: tuple[Guard, ...], kernel: kir.Kernel) -> Inputs:
+        declared = [each for _, each in self._declared]
+        return Inputs(self._name, tuple(zip(types, declared, strict=True)), guards, kernel.uniforms)
+
     def _compile(self, relation: Relation, types: _Types) -> Specialisation:
         elaborated = elaborate(self.source, relation, types)
         phases = check_phases(elaborated.kernel)
@@ -233,6 +253,8 @@ class Kernel:
             used=tuple(phases.fields),
             written=tuple(f for f, phase in phases.fields.items() if phase.changed),
             reaches=collect_reaches(kernel),
+            types=types,
+            inputs=self._inputs(types, elaborated.guards, kernel),
         )
 
 

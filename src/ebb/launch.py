@@ -6,12 +6,15 @@ uniforms and runs what is bound. Otherwise it settles first, which may take its 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from ebb.backends.backend import Backend, Bound, CheckedKernel, Executable
+from ebb.backends.backend import Backend, Bound, CheckedKernel, Executable, How
 from ebb.backends.select import current_backend
 from ebb.compiler.arguments import uniform_values
 from ebb.compiler.elaborate.guards import Guard
+from ebb.compiler.elaborate.parameters import ParameterType
+from ebb.compiler.inputs import Inputs
 from ebb.records import field, record
 from ebb.relations.field import Field
 from ebb.relations.layout import consider_layout
@@ -35,11 +38,22 @@ class Specialisation:
     used: tuple[Field, ...]
     written: tuple[Field, ...]
     reaches: tuple[Reach, ...]
+    types: tuple[ParameterType, ...]
+    inputs: Inputs
     executables: dict[Backend, Executable] = field(default_factory=dict[Backend, Executable])
 
     def holds(self, parameters: tuple[Any, ...]) -> bool:
         """Whether the captured names still are what this was made for."""
         return all([guard.holds(parameters) for guard in self.guards])
+
+    def uniforms(self, parameters: tuple[Any, ...]) -> tuple[Any, ...]:
+        """The values of the uniforms, evaluated the long way.
+
+        Raises:
+            KernelTypeError: a captured name or an operation has no value, or one that does not fit.
+        """
+        kernel = self.checked.kernel
+        return uniform_values(kernel.name, kernel.uniforms, parameters)
 
     def refresh(self) -> None:
         """Makes the groupings that the kernel queries valid."""
@@ -58,17 +72,23 @@ class Specialisation:
 class Launch:
     """A specialisation on a set of rows for which its stencil has been checked."""
 
-    __slots__ = ("_bound", "_epoch", "_runs", "rows", "specialisation")
+    __slots__ = ("_bound", "_epoch", "_runs", "_written_keys", "_written_values", "rows", "specialisation", "take")
 
     def __init__(self, specialisation: Specialisation, rows: RowSet) -> None:
         self.specialisation = specialisation
         self.rows = rows
+        self.take = specialisation.inputs.take
+        self._written_values = [each for each in specialisation.written if not each.holds_keys]
+        self._written_keys = [each for each in specialisation.written if each.holds_keys]
         self._bound: Bound | None = None
         self._epoch: object = None
         self._runs = 0
 
-    def run(self, parameters: tuple[Any, ...]) -> None:
+    def run(self, uniforms: Sequence[Any]) -> None:
         """Runs the kernel once, on the current backend. Launches from several Python threads wait for one another.
+
+        Args:
+            uniforms: their values, of ``take``, which gives None where it cannot, or of the specialisation.
 
         Raises:
             EbbError: the data does not allow it, or the kernel failed for some row.
@@ -77,14 +97,19 @@ class Launch:
             bound = self._bound
             if bound is None or self._epoch is not structure.epoch:
                 bound = self.settle()
-            specialisation = self.specialisation
-            kernel = specialisation.checked.kernel
-            uniforms = uniform_values(kernel.name, kernel.uniforms, parameters) if kernel.uniforms else ()
             try:
                 bound.run(uniforms)
             finally:
-                for written in specialisation.written:
-                    written.changed()
+                for values in self._written_values:
+                    values.version += 1
+                for keys in self._written_keys:
+                    keys.changed()
+
+    def how(self) -> How:
+        """How the launch goes on the current backend, for the data as it is."""
+        with launching():
+            self.specialisation.refresh()
+            return self.specialisation.executable(current_backend()).how(self.rows)
 
     def settle(self) -> Bound:
         """Looks at all that the launch relies on besides values, and binds the code to it. Holds ``launching()``.
@@ -96,8 +121,8 @@ class Launch:
         # Taken first: what changes while this looks, also by its own doing, is looked at again before the next run.
         epoch = structure.epoch
         specialisation = self.specialisation
-        consider_order(self.rows.relation, specialisation.reaches, self._runs)
-        consider_layout(self.rows.relation, specialisation.reaches, self._runs)
+        consider_order(self.rows, specialisation.reaches, self._runs)
+        consider_layout(self.rows, specialisation.reaches, self._runs)
         specialisation.refresh()
         for used in specialisation.used:
             used.check_no_view()

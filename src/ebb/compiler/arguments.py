@@ -71,7 +71,31 @@ def uniform_values(kernel: str, uniforms: tuple[HostValue, ...], parameters: tup
     Raises:
         KernelTypeError: a value does not fit its type.
     """
-    return tuple([_uniform_value(kernel, uniform, parameters) for uniform in uniforms])
+    return tuple([uniform_value(kernel, uniform, parameters) for uniform in uniforms])
+
+
+def uniform_value(kernel: str, uniform: HostValue, parameters: tuple[Any, ...]) -> Any:
+    """Evaluates one uniform of a kernel: a NumPy scalar or array of its type.
+
+    Raises:
+        KernelTypeError: the value does not fit its type.
+    """
+    target = uniform.type
+    assert not isinstance(target.scalar, KeyType), "a uniform is no key"
+    try:
+        value = evaluate(uniform.expr, parameters)
+    except (ArithmeticError, AttributeError, LookupError, NameError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error
+    try:
+        if not target.shape and (target != float32 or abs(value) <= _LARGEST_FLOAT32):
+            return target.dtype.type(value)
+        with np.errstate(over="ignore"):  # beyond its range float32 is infinite, as it is for literals
+            array = np.asarray(value, dtype=target.dtype)
+        return np.broadcast_to(array, target.shape)[()]
+    except (OverflowError, ValueError, TypeError) as error:
+        reason = f"{value!r} is no {target!r}"
+        raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error
 
 
 _ACCEPTED = {Kind.BOOL: "b", Kind.SIGNED: "iuO", Kind.UNSIGNED: "iuO", Kind.FLOAT: "iufO"}
@@ -107,22 +131,3 @@ def _array_type(array: np.ndarray[Any, Any] | None, narrow: bool) -> Type | None
 def _in_range(array: np.ndarray[Any, Any], scalar: ScalarType) -> bool:
     limits = np.iinfo(scalar.dtype)
     return array.size == 0 or (int(array.min()) >= limits.min and int(array.max()) <= limits.max)
-
-
-def _uniform_value(kernel: str, uniform: HostValue, parameters: tuple[Any, ...]) -> Any:
-    target = uniform.type
-    assert not isinstance(target.scalar, KeyType), "a uniform is no key"
-    try:
-        value = evaluate(uniform.expr, parameters)
-    except (ArithmeticError, AttributeError, LookupError, NameError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error
-    try:
-        if not target.shape and (target != float32 or abs(value) <= _LARGEST_FLOAT32):
-            return target.dtype.type(value)
-        with np.errstate(over="ignore"):  # beyond its range float32 is infinite, as it is for literals
-            array = np.asarray(value, dtype=target.dtype)
-        return np.broadcast_to(array, target.shape)[()]
-    except (OverflowError, ValueError, TypeError) as error:
-        reason = f"{value!r} is no {target!r}"
-        raise KernelTypeError(UniformFailed(kernel, describe(uniform.expr), reason)) from error

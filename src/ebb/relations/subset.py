@@ -11,7 +11,7 @@ import numpy as np
 from ebb.errors import RelationError
 from ebb.records import record
 from ebb.relations.errors import BadSubset, SubsetOutOfRange
-from ebb.relations.storage import Rows
+from ebb.relations.storage import Rows, Storage
 from ebb.runtime.buffer import Array
 
 if TYPE_CHECKING:
@@ -66,6 +66,11 @@ class RowSet(Protocol):
         ...
 
     @property
+    def storage(self) -> Storage:
+        """Where the rows of that relation lie."""
+        ...
+
+    @property
     def size(self) -> int:
         """The number of rows."""
         ...
@@ -85,15 +90,17 @@ class Subset:
 
     Attributes:
         relation: whose rows they are.
+        storage: where the rows of that relation lie.
         name: unique in the relation.
         size: the number of rows.
         boxes: the rows as disjoint boxes, or None where the relation is no grid or they are no boxes.
     """
 
-    __slots__ = ("_identities", "_positions", "_version", "boxes", "name", "relation", "size")
+    __slots__ = ("_identities", "_positions", "_version", "boxes", "name", "relation", "size", "storage")
 
     def __init__(self, relation: Relation, name: str, rows: tuple[Box, ...] | Rows) -> None:
         self.relation = relation
+        self.storage = relation.storage
         self.name = name
         self.boxes = rows if isinstance(rows, tuple) else None
         self._identities = None if isinstance(rows, tuple) else rows

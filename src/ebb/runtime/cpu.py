@@ -58,7 +58,7 @@ class ArgumentBlock:
         self.words = aligned_zeros((words,), np.dtype(np.int64))
         self.address = self.words.ctypes.data
         raw: Any = memoryview(self.words)  # pyright: ignore[reportArgumentType] - NumPy's stubs have no __buffer__
-        self.views: dict[str, memoryview[Any]] = {code: raw.cast("B").cast(code) for code in "qQiIdfB"}
+        self.views: dict[str, memoryview[Any]] = {code: raw.cast("B").cast(code) for code in "qQiIdf?"}
         self.numbers = self.views["q"]
         self.failures = aligned_zeros((threads, FAILURE_WORDS), np.dtype(np.int64))
         self.words[FAILURES] = self.failures.ctypes.data
