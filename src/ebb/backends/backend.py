@@ -101,6 +101,11 @@ class Backend(Protocol):
         """The stages beyond KIR that its executables can show."""
         ...
 
+    @property
+    def reorders(self) -> bool:
+        """Whether launches may permute relations so that kernels find rows closer together."""
+        ...
+
     def prepare(self, checked: CheckedKernel) -> Executable:
         """Makes ``checked`` ready to run here; what can be compiled later may be."""
         ...

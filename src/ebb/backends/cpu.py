@@ -20,11 +20,13 @@ from ebb.compiler.phases.order import InOrder, why_in_order
 from ebb.compiler.scatter.choose import ANY_ORDER, ROW_AFTER_ROW, Plan, Planner, Run
 from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.waves import in_order
+from ebb.errors import BackendError
 from ebb.records import record
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
 from ebb.runtime.cpu import CpuDevice
 from ebb.runtime.epoch import structure_changed
+from ebb.runtime.errors import BadSwitch
 from ebb.runtime.threads import thread_count
 
 _STAGES: dict[str, Callable[[lir.Program, Target], str]] = {
@@ -41,10 +43,12 @@ class CpuBackend:
     Attributes:
         device: the processor.
         cache: where object code is kept between processes.
+        reorders: whether launches may permute relations so that kernels find rows closer together.
     """
 
     device: CpuDevice
     cache: ObjectCache
+    reorders: bool = True
     name: str = "cpu"
     stages: tuple[str, ...] = tuple(_STAGES)
 
@@ -58,22 +62,25 @@ class CpuBackend:
         return CpuExecutable(checked, self)
 
 
-def cpu_backend(threads: int | None = None) -> CpuBackend:
+def cpu_backend(threads: int | None = None, reorder: bool = True) -> CpuBackend:
     """The backend ``cpu``.
 
     Args:
         threads: how many threads a launch may use; ``EBB_NUM_THREADS`` or all cores by default.
+        reorder: whether launches may permute relations so that kernels find rows closer together.
 
     Raises:
-        BackendError: ``threads`` is no number of threads.
+        BackendError: ``threads`` is no number of threads, or ``reorder`` no bool.
     """
-    return _backend_of(thread_count(threads), cache_directory())
+    if not isinstance(reorder, bool):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise BackendError(BadSwitch("cpu", "reorder", reorder))
+    return _backend_of(thread_count(threads), cache_directory(), reorder)
 
 
 @cache
-def _backend_of(threads: int, directory: Path) -> CpuBackend:
+def _backend_of(threads: int, directory: Path, reorders: bool) -> CpuBackend:
     """One for each choice of options, so that a kernel that meets it again is compiled."""
-    return CpuBackend(CpuDevice(threads), ObjectCache(directory))
+    return CpuBackend(CpuDevice(threads), ObjectCache(directory), reorders)
 
 
 class CpuExecutable:

@@ -17,7 +17,7 @@ from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
 
 #: How to make each backend, and the options that it takes.
 BACKENDS: Mapping[str, tuple[Callable[..., Backend], tuple[str, ...]]] = {
-    "cpu": (cpu_backend, ("threads",)),
+    "cpu": (cpu_backend, ("threads", "reorder")),
     "reference": (reference_backend, ()),
 }
 
@@ -37,7 +37,8 @@ def set_backend(name: str, **options: Any) -> None:
 
     Args:
         name: ``"cpu"`` or ``"reference"``.
-        **options: ``threads=`` for cpu, the number of threads; ``EBB_NUM_THREADS`` or all cores by default.
+        **options: for cpu ``threads=``, the number of threads, ``EBB_NUM_THREADS`` or all cores by default; and
+            ``reorder=False``, so that launches leave the rows of relations where they are.
 
     Raises:
         BackendError: there is no such backend, it does not take an option, or this machine lacks what it needs.

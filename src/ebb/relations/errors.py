@@ -1,4 +1,4 @@
-"""What can be wrong about relations, fields, groupings, subsets and loads: E501 to E519."""
+"""What can be wrong about relations, fields, groupings, subsets and loads: E501 to E521."""
 
 from __future__ import annotations
 
@@ -403,3 +403,33 @@ class MemberNotAFunction(Diagnostic):
     @property
     def title(self) -> str:
         return f"member '{self.relation}.{self.member}' is a function of a key, not {self.value}"
+
+
+@record
+class GridReordered(Diagnostic):
+    """A grid that is to be reordered."""
+
+    code: ClassVar[str] = "E520"
+    relation: str
+
+    @property
+    def title(self) -> str:
+        return f"relation '{self.relation}' is a grid, whose rows lie in the order of their indices"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("reorder the relations that have keys into it",)
+
+
+@record
+class NotABool(Diagnostic):
+    """An option of a relation that is neither True nor False."""
+
+    code: ClassVar[str] = "E521"
+    relation: str
+    option: str
+    value: str
+
+    @property
+    def title(self) -> str:
+        return f"relation '{self.relation}': {self.option}={self.value} is neither True nor False"

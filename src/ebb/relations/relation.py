@@ -19,6 +19,7 @@ from ebb.relations.errors import (
     BadName,
     ForeignField,
     NameTaken,
+    NotABool,
     NotGroupable,
     TypeMismatch,
     UnknownName,
@@ -26,6 +27,7 @@ from ebb.relations.errors import (
 from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.member import Function, Member
+from ebb.relations.ordering import reorder
 from ebb.relations.storage import Rows, Storage, inverse, is_permutation
 from ebb.relations.subset import Box, Subset, select
 from ebb.relations.table import table
@@ -63,6 +65,7 @@ class Relation:
         *,
         shape: int | Sequence[int] | None = None,
         periodic: bool | Sequence[bool] | None = None,
+        reorder: bool = True,
     ) -> None:
         """A relation of ``size`` rows, or of the cells of a grid of one, two or three dimensions.
 
@@ -71,15 +74,20 @@ class Relation:
             size: the number of rows; or
             shape: the extents of a grid, and then
             periodic: for each dimension, whether it wraps; one bool stands for all. By default none does.
+            reorder: whether the rows may be stored in another order so that kernels find them closer together. No
+                program can tell but by ``view()``. Groupings sort the rows all the same.
 
         Raises:
-            RelationError: the name is no identifier, or there are no such rows.
+            RelationError: the name is no identifier, there are no such rows, or ``reorder`` is no bool.
         """
+        if not isinstance(reorder, bool):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise RelationError(NotABool(str(name), "reorder", repr(reorder)))
         self.name = _checked_name("relation", name)
         self.is_grid = shape is not None
         self.shape: tuple[int, ...] = _extents(name, size, shape)
         self.periodic: tuple[bool, ...] = _wraps(name, periodic, self.is_grid, len(self.shape))
         self.storage = Storage(prod(self.shape))
+        self.storage.may_reorder = reorder
         self._attributes: dict[str, Attribute] = {}
         self._fields: dict[str, Field] = {}
 
@@ -149,7 +157,7 @@ class Relation:
         self._fields[name] = field
         self._attributes[name] = field
         if field.target is not None:
-            field.target.storage.referrers.add(field)
+            field.target.storage.referrers[field] = None
         return field
 
     def swap(self, a: str | Field, b: str | Field) -> None:
@@ -244,11 +252,27 @@ class Relation:
             field.check_no_view()
         moved = inverse(moves)
         buffers = {field: field.buffer.permuted(moves) for field in self._fields.values()}
-        for field in self.storage.referrers:
+        for field in list(self.storage.referrers):
             buffers[field] = buffers.get(field, field.buffer).mapped(moved)
         self.storage.reorder(moves, moved)
         for field, buffer in buffers.items():
             field.replace(buffer)
+
+    def reorder(self) -> None:
+        """Stores rows that refer to each other close together, which makes kernels that follow keys faster.
+
+        Kernels have this done when they find rows far apart; this does it now, whatever there is to gain. The rows are
+        ordered by what relates them (Cuthill and McKee): their keys to each other, and rows of other relations that
+        have two keys into this one, as edges have. Where there is nothing of the kind, they are sorted by their own
+        keys, or in the order in which others refer to them. If the relation is grouped, what it is grouped by is
+        reordered, and its groups follow; so do relations that refer to it and have no order of their own.
+
+        Row numbers do not change: no program can tell, but by ``Field.view``.
+
+        Raises:
+            RelationError: the relation is a grid, or a writable view is open of a field that has to move.
+        """
+        reorder(self)
 
     # Python's own
 

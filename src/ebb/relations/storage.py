@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary, WeakSet
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -26,21 +26,39 @@ class Storage:
         order: identity by position, or None while every row lies at its identity.
         rank: position by identity, the inverse of ``order``, or None.
         version: counts the permutations; what is derived from positions compares it.
-        referrers: the key fields that point to the relation, held weakly.
+        referrers: the key fields that point to the relation, held weakly, the oldest first.
         primary: the grouping that decides the order, or None.
+        reason: why the rows are stored in another order than that of a grouping or their creation, or None.
+        may_reorder: whether the rows may be permuted for locality without being asked.
+        watches: for each key field of the relation that kernels follow, how long it has stayed as it is.
         pinned: whether somebody may hold a view of a field, so that rows are not moved without being asked to.
         compiled: what each kernel keeps for the relation: here, so that it goes with the relation, and with the kernel.
     """
 
-    __slots__ = ("compiled", "order", "pinned", "primary", "rank", "referrers", "size", "version")
+    __slots__ = (
+        "compiled",
+        "may_reorder",
+        "order",
+        "pinned",
+        "primary",
+        "rank",
+        "reason",
+        "referrers",
+        "size",
+        "version",
+        "watches",
+    )
 
     def __init__(self, size: int) -> None:
         self.size = size
         self.order: Rows | None = None
         self.rank: Rows | None = None
         self.version = 0
-        self.referrers: WeakSet[Field] = WeakSet()
+        self.referrers: WeakKeyDictionary[Field, None] = WeakKeyDictionary()
         self.primary: Grouping | None = None
+        self.reason: str | None = None
+        self.may_reorder = True
+        self.watches: dict[Field, Watch] = {}
         self.pinned = False
         self.compiled: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()
 
@@ -59,8 +77,35 @@ class Storage:
         identities = order.copy() if self.order is None else self.order[order]
         self.rank = moved if self.rank is None else moved[self.rank]
         self.order = identities
+        self.reason = None
         self.version += 1
         structure_changed()
+
+
+class Watch:
+    """How long the keys of a field have stayed as they are, and what has been decided for them.
+
+    Attributes:
+        version: the version of the field that is watched.
+        calm: how many times it has been met again since.
+        patience: how many times it must be, before anything is decided. It doubles each time that the keys change.
+        width: the widest rows for which has been decided whether they should lie in another order; 0 at first.
+    """
+
+    __slots__ = ("calm", "patience", "version", "width")
+
+    def __init__(self, version: int) -> None:
+        self.version = version
+        self.calm = 0
+        self.patience = 2
+        self.width = 0
+
+    def restart(self, version: int) -> None:
+        """The keys have changed."""
+        self.version = version
+        self.calm = 0
+        self.patience *= 2
+        self.width = 0
 
 
 def is_permutation(order: Rows, size: int) -> bool:

@@ -124,3 +124,17 @@ class VariablesTooLarge(Diagnostic):
     @property
     def hints(self) -> tuple[str, ...]:
         return ("keep long arrays in a relation of their own, one row an entry",)
+
+
+@record
+class BadSwitch(Diagnostic):
+    """An option of a backend that is neither True nor False."""
+
+    code: ClassVar[str] = "E606"
+    backend: str
+    option: str
+    value: Any
+
+    @property
+    def title(self) -> str:
+        return f"the option {self.option}={self.value!r} of the backend '{self.backend}' is neither True nor False"

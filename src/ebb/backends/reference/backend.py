@@ -56,6 +56,7 @@ class ReferenceBackend:
 
     name: str = "reference"
     stages: tuple[str, ...] = ()
+    reorders: bool = False
 
     def prepare(self, checked: CheckedKernel) -> ReferenceExecutable:
         """The kernel is run as it is."""

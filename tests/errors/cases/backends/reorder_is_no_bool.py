@@ -1,0 +1,3 @@
+import ebb
+
+ebb.set_backend("cpu", reorder="never")  #~ E606
