@@ -121,12 +121,14 @@ class Launch:
         # Taken first: what changes while this looks, also by its own doing, is looked at again before the next run.
         epoch = structure.epoch
         specialisation = self.specialisation
-        consider_order(self.rows, specialisation.reaches, self._runs)
+        backend = current_backend()
+        if backend.reorders:
+            consider_order(self.rows, specialisation.reaches, self._runs)
         consider_layout(self.rows, specialisation.reaches, self._runs)
         specialisation.refresh()
         for used in specialisation.used:
             used.check_no_view()
-        bound = specialisation.executable(current_backend()).bind(self.rows)
+        bound = specialisation.executable(backend).bind(self.rows)
         self._runs += 1
         self._bound = bound
         self._epoch = epoch if self._runs >= SETTLING_RUNS else None
