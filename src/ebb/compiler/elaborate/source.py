@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from types import CellType, CodeType, FunctionType
 from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
 
 from ebb.compiler.elaborate.errors import NotAFunction, SourceChanged, SourceNotFound
 from ebb.diagnostics.span import Source, Span
@@ -82,14 +83,30 @@ def find_source(
     if not text:
         raise KernelSyntaxError(SourceNotFound(function.__name__, code.co_filename))
     node, source = _locate(code, text, given)
-    cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
-    return SourceFunction(code.co_name, function, node, source, cells, function.__globals__, frame_locals or {})
+    return _source_function(function, node, source, frame_locals or {})
 
 
-@lru_cache(maxsize=512)
 def source_of(function: Any) -> SourceFunction:
     """``find_source`` of a function that is looked up again and again, such as a member's."""
-    return find_source(function)
+    if not isinstance(function, FunctionType):
+        return find_source(function)  # which says that it is no function
+    known = _located.get(function)
+    if known is None:
+        found = find_source(function)
+        known = _located[function] = (found.node, found.source)
+    return _source_function(function, *known, {})
+
+
+_located: WeakKeyDictionary[FunctionType, tuple[ast.FunctionDef, Source]] = WeakKeyDictionary()
+"""Where functions are written. Nothing here may refer to a function: its variables hold relations, and their memory."""
+
+
+def _source_function(
+    function: FunctionType, node: ast.FunctionDef, source: Source, frame_locals: Mapping[str, Any]
+) -> SourceFunction:
+    code = function.__code__
+    cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
+    return SourceFunction(code.co_name, function, node, source, cells, function.__globals__, frame_locals)
 
 
 _COROUTINE = 0x80 | 0x200  # CO_COROUTINE, CO_ASYNC_GENERATOR
