@@ -118,7 +118,7 @@ def _storage_line(relation: Relation) -> str:
     if relation.is_grid:
         return f"{relation.name}: grid {' x '.join(map(str, relation.shape))}, the last index is contiguous"
     grouped = [field.path for field in relation.fields.values() if field.grouping is not None]
-    order = "as created" if relation.storage.order is None else "permuted"
+    order = "as created" if relation.storage.order is None else relation.storage.reason or "permuted"
     return f"{relation.name}: rows stored {order}" + (f"; grouped by {', '.join(grouped)}" if grouped else "")
 
 
