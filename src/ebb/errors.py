@@ -17,7 +17,6 @@ import os
 from typing import TypeVar
 
 from ebb.diagnostics.diagnostic import Diagnostic
-from ebb.diagnostics.render import render_all
 
 E = TypeVar("E", bound=BaseException)
 
@@ -48,6 +47,8 @@ class EbbError(Exception):
         return tuple(diagnostic.code for diagnostic in self.diagnostics)
 
     def __str__(self) -> str:
+        from ebb.diagnostics.render import render_all  # here: programs without errors do not wait for it
+
         return render_all(self.diagnostics)
 
 

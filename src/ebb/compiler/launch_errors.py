@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import Any, ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic
+from ebb.diagnostics.nearest import nearest
 from ebb.records import record
 from ebb.relations.field import Field
 from ebb.types.types import KeyType, Type
@@ -128,8 +128,8 @@ class UnknownStage(Diagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        close = get_close_matches(str(self.stage), self.stages, n=1)
-        return (f"did you mean '{close[0]}'?",) if close else (f"ask for one of {', '.join(self.stages)}",)
+        close = nearest(str(self.stage), self.stages)
+        return (f"did you mean '{close}'?",) if close else (f"ask for one of {', '.join(self.stages)}",)
 
 
 def _shown(value: Any) -> str:

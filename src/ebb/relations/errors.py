@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import ClassVar, Literal
 
 from ebb.diagnostics.diagnostic import Diagnostic
+from ebb.diagnostics.nearest import nearest
 from ebb.records import record
 
 Row = tuple[int, ...]
 """The row that is at fault, as indices into arrays of the relation's shape."""
-
-
-def nearest(name: str, known: tuple[str, ...]) -> str | None:
-    """The known name that is most like ``name``, if any is like it at all."""
-    matches = get_close_matches(name, known, n=1, cutoff=0.6)
-    return matches[0] if matches else None
 
 
 def row_text(row: Row) -> str:

@@ -7,6 +7,7 @@ NumPy users expect of a float64 array that goes into a float32 one.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from itertools import product
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
@@ -23,7 +24,7 @@ from ebb.types.types import KeyType, Kind, ScalarType, Type
 if TYPE_CHECKING:
     from ebb.relations.relation import Relation
 
-Masked: TypeAlias = np.ma.MaskedArray[Any, np.dtype[Any]]
+Masked: TypeAlias = "np.ma.MaskedArray[Any, np.dtype[Any]]"
 
 
 @record
@@ -79,7 +80,8 @@ def converted(value: Any, place: Place) -> Array:
     Raises:
         RelationError: the shape or the kind of the value does not fit, or a number or key is out of range.
     """
-    if isinstance(value, np.ma.MaskedArray):
+    # NumPy imports its masked arrays when they are first asked for, which takes longer than a launch may take.
+    if "numpy.ma" in sys.modules and isinstance(value, np.ma.MaskedArray):
         return _masked_keys(cast("Masked", value), place)
     array = _as_array(value, place)
     if all(array.shape != shape for _, shape in place.shapes()):

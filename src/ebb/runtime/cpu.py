@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import itertools
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -139,6 +138,8 @@ class CpuDevice:
 
 
 def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int) -> bool:
+    from concurrent.futures import ThreadPoolExecutor  # here: few machines get here
+
     def share(thread: int) -> None:
         code.share(block.address, thread, threads)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import Any, ClassVar
 
 from ebb.diagnostics.diagnostic import Diagnostic
+from ebb.diagnostics.nearest import nearest
 from ebb.records import record
 
 _LATER = ("opencl", "cuda")
@@ -31,8 +31,8 @@ class UnknownBackend(Diagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        close = get_close_matches(self.name, self.known, n=1)
-        return (f"did you mean '{close[0]}'?",) if close else (f'choose one: ebb.set_backend("{self.known[0]}")',)
+        close = nearest(self.name, self.known)
+        return (f"did you mean '{close}'?",) if close else (f'choose one: ebb.set_backend("{self.known[0]}")',)
 
 
 @record
@@ -56,8 +56,8 @@ class UnknownBackendOption(Diagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        close = get_close_matches(self.option, self.accepted, n=1)
-        return (f"did you mean '{close[0]}'?",) if close else ("leave it out",)
+        close = nearest(self.option, self.accepted)
+        return (f"did you mean '{close}'?",) if close else ("leave it out",)
 
 
 @record

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import operator
 import os
 import sys
-import sysconfig
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -164,18 +162,23 @@ def _address(library: ctypes.CDLL, name: str) -> int:
 def _candidates() -> Iterator[str]:
     if sys.platform.startswith("linux"):
         yield "libgomp.so.1"
-    found = ctypes.util.find_library("gomp")
+    # Here, since they ask other processes, and are only needed where libgomp is not in its place.
+    from ctypes.util import find_library
+
+    found = find_library("gomp")
     if found:
         yield found
     yield from _installed("libiomp5*")
     for name in ("iomp5", "omp"):
-        found = ctypes.util.find_library(name)
+        found = find_library(name)
         if found:
             yield found
 
 
 def _installed(pattern: str) -> Iterator[str]:
     """Libraries that wheels (``intel-openmp``) put into the environment."""
+    import sysconfig
+
     root = Path(sysconfig.get_path("data"))
     places = [root / "lib", root / "Library" / "bin", Path(sysconfig.get_path("platlib"))]
     for place in places:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from ebb.compiler.elaborate.errors import KernelDiagnostic
-from ebb.compiler.elaborate.errors_names import nearest
+from ebb.compiler.elaborate.errors_names import did_you_mean
 from ebb.records import record
 
 
@@ -48,7 +48,7 @@ class CallArguments(KernelDiagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        return () if self.unknown is None else nearest(self.unknown, self.parameters)
+        return () if self.unknown is None else did_you_mean(self.unknown, self.parameters)
 
 
 @record

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import ClassVar
 
 from ebb.compiler.elaborate.errors import KernelDiagnostic
 from ebb.diagnostics.diagnostic import Label
+from ebb.diagnostics.nearest import nearest
 from ebb.diagnostics.span import Span
 from ebb.records import record
 
 
-def nearest(name: str, known: tuple[str, ...]) -> tuple[str, ...]:
+def did_you_mean(name: str, known: tuple[str, ...]) -> tuple[str, ...]:
     """A hint that names the known name most like ``name``, or none."""
-    close = get_close_matches(name, known, n=1)
-    return (f"did you mean '{close[0]}'?",) if close else ()
+    close = nearest(name, known)
+    return (f"did you mean '{close}'?",) if close else ()
 
 
 @record
@@ -31,7 +31,7 @@ class UndefinedName(KernelDiagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        return nearest(self.name, self.known)
+        return did_you_mean(self.name, self.known)
 
 
 @record
@@ -184,7 +184,7 @@ class UnknownAttribute(KernelDiagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        close = nearest(self.name, self.known)
+        close = did_you_mean(self.name, self.known)
         return close if close or self.advice is None else (self.advice,)
 
 

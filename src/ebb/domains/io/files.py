@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from math import prod
 from os import PathLike
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 import ebb
+from ebb.diagnostics.nearest import nearest
 from ebb.domains.io.data import MeshData
 from ebb.domains.io.errors import UnknownFormat, Unsavable
 from ebb.domains.io.meshio import read_meshio, write_meshio
@@ -110,9 +110,9 @@ def _own_field(path: str, vertices: ebb.Relation, cells: ebb.Relation, field: st
         found = vertices.fields.get(field)
         if found is not None:
             return found
-        close = get_close_matches(field, vertices.fields, n=1)
-        nearest = f"; did you mean {close[0]!r}?" if close else ""
-        raise MeshFormatError(Unsavable(path, f"{vertices.name} has no field {field!r}{nearest}"))
+        close = nearest(field, vertices.fields)
+        meant = f"; did you mean {close!r}?" if close else ""
+        raise MeshFormatError(Unsavable(path, f"{vertices.name} has no field {field!r}{meant}"))
     if field.relation is vertices or field.relation is cells:
         return field
     reason = f"the field {field.path} is none of {vertices.name} or {cells.name} of this mesh"
