@@ -205,7 +205,7 @@ def _candidates(route: Route, before: Spread) -> Iterator[Candidate]:
         kind = f"sorted by {', '.join([key.name for key in route.keys])}"
         yield Candidate(route.source, order, kind, before, spread_of_keys(route.placed, columns, order))
     *grouped, root = _chain(route.target)
-    graph = _graph(root, [_keys_into(root, grouped[-1]) if grouped else route.keys])
+    graph = _graph(root, [_keys_into(root, grouped[-1] if grouped else route.source)])
     if _is_free(root) and graph.neighbours.size:
         order, placed = cuthill_mckee(graph), Placed(root.size, route.width)
         if grouped:
