@@ -39,6 +39,10 @@ LAUNCH, SHARE, FINISH = "ebb_launch", "ebb_share", "ebb_finish"
 
 _links = itertools.count()
 
+_LINKED_TOGETHER = 256
+"""What one linker links. LLVM forgets unloaded code all but some 10 kB, and the rest with the linker, which lives as
+long as any code that it has linked. To make one takes 3 ms."""
+
 
 class ArgumentBlock:
     """The words that one launch hands over.
@@ -154,15 +158,19 @@ def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int)
 
 
 class _Linker:
-    """LLVM's linker of this process, made on first use."""
+    """LLVM's linker of this process, made on first use, and how much it has linked."""
 
     instance: Any = None
+    linked: int = 0
 
 
 def _linker() -> Any:
     if _Linker.instance is None:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
+    if _Linker.instance is None or _Linker.linked == _LINKED_TOGETHER:
         # JITLink puts the parts of an object next to one another; LLVM's older linker may put them out of reach.
         _Linker.instance = llvm.create_lljit_compiler(use_jit_link=True)
+        _Linker.linked = 0
+    _Linker.linked += 1
     return _Linker.instance
