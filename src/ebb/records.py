@@ -133,16 +133,15 @@ def _initialiser(cls: type[Any], fields: dict[str, _Field]) -> FunctionType:
     names = tuple(fields)
     factories = tuple([index for index, name in enumerate(names) if fields[name].factory])
     code = _initialiser_code(len(names), factories)
-    cells: dict[str, Any] = {"absent": _ABSENT}
-    for index, name in enumerate(names):
-        cells[f"set_{index}"] = getattr(cls, name).__set__
-        cells[f"make_{index}"] = fields[name].factory
+    values: list[Any] = [getattr(cls, name).__set__ for name in names]
+    if factories:
+        values += [_ABSENT, *(fields[names[index]].factory for index in factories)]
     made = FunctionType(
-        code.replace(co_varnames=("self", *names), co_qualname=f"{cls.__qualname__}.__init__"),
+        code.replace(co_varnames=("self", *names), co_qualname=cls.__qualname__ + ".__init__"),
         {"__name__": cls.__module__},
         "__init__",
         _defaults(cls, fields),
-        tuple([CellType(cells[name]) for name in code.co_freevars]),
+        tuple(map(CellType, values)),
     )
     made.__module__ = cls.__module__
     return made
@@ -150,27 +149,35 @@ def _initialiser(cls: type[Any], fields: dict[str, _Field]) -> FunctionType:
 
 @cache
 def _initialiser_code(count: int, factories: tuple[int, ...]) -> CodeType:
-    """The code of an ``__init__`` of that many fields, those of the indices ``factories`` made where none is given."""
-    fields = range(count)
-    closed_over = [*(f"set_{index}" for index in fields), *(f"make_{index}" for index in factories), "absent"]
-    parameters = ["self", *(f"_{index}" for index in fields)]
-    lines = [f"def close({', '.join(closed_over)}):", f"  def __init__({', '.join(parameters)}):"]
-    for index in fields:
-        made = f"make_{index}() if _{index} is absent else " if index in factories else ""
-        lines.append(f"    set_{index}(self, {made}_{index})")
-    lines += ["    return None", "  return __init__"]
+    """The code of an ``__init__`` of that many fields, those of the indices ``factories`` made where none is given.
+
+    It closes over what sets each field, then over ``_ABSENT`` and the factories, if there are any. Their names here are
+    such that their order is that of the alphabet, in which code holds them.
+    """
+    fields = [f"{index:03}" for index in range(count)]
+    made = [fields[index] for index in factories]
+    lines = [f"def __init__({', '.join(['self', *(f'_{each}' for each in fields)])}):"]
+    for each in fields:
+        value = f"t_make_{each}() if _{each} is t_absent else _{each}" if each in made else f"_{each}"
+        lines.append(f"  s_set_{each}(self, {value})")
+    lines.append("  return None")
+    outer = [f"s_set_{each}" for each in fields] + (["t_absent", *(f"t_make_{each}" for each in made)] if made else [])
     namespace: dict[str, Any] = {}
-    exec("\n".join(lines), namespace)
-    return namespace["close"](*closed_over).__code__
+    exec("\n ".join([f"def close({', '.join(outer)}):", *lines, "return __init__"]), namespace)
+    code: CodeType = namespace["close"](*outer).__code__
+    assert code.co_freevars == tuple(outer)
+    return code
 
 
 def _defaults(cls: type[Any], fields: dict[str, _Field]) -> tuple[Any, ...]:
     """The defaults of the last parameters, ``_ABSENT`` for those that are made by a factory."""
-    given = [each.default is not _ABSENT or each.factory is not None for each in fields.values()]
-    first = given.index(True) if True in given else len(given)
-    if not all(given[first:]):
-        raise TypeError(f"a field without a default follows one with a default in {cls.__qualname__}")
-    return tuple([each.default for each in fields.values()][first:])
+    found: list[Any] = []
+    for field in fields.values():
+        if field.default is not _ABSENT or field.factory is not None:
+            found.append(field.default)
+        elif found:
+            raise TypeError(f"a field without a default follows one with a default in {cls.__qualname__}")
+    return tuple(found)
 
 
 # ---- The other methods. ----

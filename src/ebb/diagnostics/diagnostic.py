@@ -1,4 +1,4 @@
-"""What an error says, as a value: one frozen dataclass a kind, facts in, text computed."""
+"""What an error says, as a value: one record a kind, facts in, text computed."""
 
 from __future__ import annotations
 
