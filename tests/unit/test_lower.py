@@ -569,7 +569,7 @@ def test_the_text_holds_no_data():
 
     assert text(10) == text(1000)
     assert text(10) == (
-        "program step over line, parallel, floats contract\n"
+        "program step over line, floats contract\n"
         "  slot s0: float32 write  # rows.x\n"
         "block %0:\n"
         "  rows %1, independent:\n"
