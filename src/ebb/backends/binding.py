@@ -16,14 +16,16 @@ from ebb.backends.llvm.layout import layout_of
 from ebb.backends.printing import PrintBuffer
 from ebb.backends.tiles import tile_boxes
 from ebb.compiler import kir, lir
+from ebb.compiler.cost import cost_of
 from ebb.compiler.lower import error_at
 from ebb.compiler.scatter.waves import Waves
 from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
-from ebb.runtime.buffer import Array, Buffer, aligned_zeros, column_stride
+from ebb.runtime.buffer import Array, aligned_zeros, column_stride
 from ebb.runtime.cpu import BLOCKS, BOXES, ITEMS, ROWS, STARTS, THREADS, WAVES, ArgumentBlock, CpuCode, CpuDevice
+from ebb.runtime.threads import worthwhile_threads
 from ebb.types.types import Kind, ScalarType
 
 _VIEWS = {
@@ -36,6 +38,9 @@ _VIEWS = {
     (Kind.FLOAT, 64): "d",
 }
 """The view of the argument block that takes a scalar."""
+
+_MANY_ROWS = 1 << 20
+"""Launches of so many rows are worth all threads, whatever a row costs."""
 
 
 class Binding:
@@ -50,13 +55,14 @@ class Binding:
         self._device = device
         self._layout = layout_of(program)
         self._block = ArgumentBlock(self._layout.words, device.threads)
+        self._rows = rows.size
         self._blocks = self._place_rows(rows)
         self._waves: Waves | None = None
         self._shares = 0
         self._alone = False
         self._fields: list[Field] = []
         self._field_words: list[int] = []
-        self._held: list[Buffer] = []
+        self._addresses: list[int] = []
         self._sources: list[tuple[int, Callable[[], Array | None]]] = []
         self._arrays: list[Array] = []
         self._numbers: list[tuple[memoryview[Any], int, int]] = []
@@ -91,9 +97,12 @@ class Binding:
         Raises:
             EbbError: an assertion or a check of the kernel failed for some row.
         """
-        buffers = [field.buffer for field in self._fields]
-        if buffers != self._held:
-            self._place_fields(buffers)
+        # Held, so that no memory goes while the code runs, should another thread swap or group meanwhile; and no
+        # longer, so that a kernel that never runs again holds none that its fields have left.
+        held = [field.buffer for field in self._fields]
+        addresses = [buffer.address for buffer in held]
+        if addresses != self._addresses:
+            self._place_fields(addresses)
         for view, place, uniform in self._numbers:
             view[place] = uniforms[uniform]
         for view, place, uniform, component in self._components:
@@ -115,12 +124,11 @@ class Binding:
             site, position, payload = failure
             raise error_at(self._program.sites[site], self._kernel, position, payload)
 
-    def _place_fields(self, buffers: list[Buffer]) -> None:
+    def _place_fields(self, addresses: list[int]) -> None:
         words = self._block.numbers
-        for word, buffer in zip(self._field_words, buffers, strict=True):
-            words[word] = buffer.address
-        # Held, so that no memory goes while the code runs, should another thread swap or group meanwhile.
-        self._held = buffers
+        for word, address in zip(self._field_words, addresses, strict=True):
+            words[word] = address
+        self._addresses = addresses
 
     # ---- What is bound once ----
 
@@ -142,12 +150,20 @@ class Binding:
         words = self._block.words
         self._waves = waves  # held while its addresses are in use
         self._starts = np.array([0, self._blocks], dtype=np.int64) if waves is None else waves.starts
-        self._shares = self._blocks if waves is None else waves.widest
+        self._shares = self._worthwhile(self._blocks if waves is None else waves.widest)
         self._alone = self._shares == 1 or self._device.threads == 1
         words[ITEMS] = 0 if waves is None else waves.items.ctypes.data
         words[STARTS] = self._starts.ctypes.data
         words[WAVES] = len(self._starts) - 1
         words[THREADS] = 1
+
+    def _worthwhile(self, most: int) -> int:
+        """How many of ``most`` threads the work of a wave pays for: all of them, where that is sure or not known."""
+        if min(most, self._device.threads) == 1 or self._rows >= _MANY_ROWS:
+            return most
+        cost = cost_of(self._kernel)
+        waves = len(self._starts) - 1
+        return most if cost.uncounted else min(most, worthwhile_threads(self._rows * cost.nanoseconds / waves))
 
     def _bind_slot(self, slot: lir.Slot, rows: RowSet) -> None:
         word = self._layout.slots + slot.number
