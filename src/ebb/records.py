@@ -3,8 +3,8 @@
 What ``@dataclass(frozen=True, slots=True)`` means, at a twentieth of its price. A dataclass compiles the source of six
 methods, half a millisecond; the package has some three hundred such classes, and an import that takes a fifth of a
 second is felt in every short program. Here only ``__init__`` needs code of its own, since it alone has the fields as
-parameters, and that code is compiled once for each number of fields: a class takes a copy with its own names in it.
-The other methods are closures over the names. Making an object takes half the time too, because the slots are filled by
+parameters, and that code stands here for each number of fields: a class takes a copy with its own names in it. The
+other methods are closures over the names. Making an object takes half the time too, because the slots are filled by
 their descriptors without a look-up by name.
 
 Type checkers know records as dataclasses (PEP 681), so ``match`` and exhaustiveness work on them. What they lack:
@@ -13,6 +13,7 @@ class is made anew to have slots (name the base instead). Annotations must be te
 them.
 """
 
+# pyright: reportUnknownLambdaType=false
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -128,45 +129,79 @@ def _made(cls: type[Any], frozen: bool, eq: bool) -> type[Any]:
 
 # ---- __init__ ----
 
+# fmt: off
+_INITIALISERS: Any = (
+    lambda: lambda self: None,
+    lambda a: lambda self, _a: (a(self, _a)),
+    lambda a, b: lambda self, _a, _b: (a(self, _a) or b(self, _b)),
+    lambda a, b, c: lambda self, _a, _b, _c: (a(self, _a) or b(self, _b) or c(self, _c)),
+    lambda a, b, c, d: lambda self, _a, _b, _c, _d: (a(self, _a) or b(self, _b) or c(self, _c) or d(self, _d)),
+    lambda a, b, c, d, e: lambda self, _a, _b, _c, _d, _e: (a(self, _a) or b(self, _b) or c(self, _c) or d(self, _d)
+        or e(self, _e)),
+    lambda a, b, c, d, e, f: lambda self, _a, _b, _c, _d, _e, _f: (a(self, _a) or b(self, _b) or c(self, _c)
+        or d(self, _d) or e(self, _e) or f(self, _f)),
+    lambda a, b, c, d, e, f, g: lambda self, _a, _b, _c, _d, _e, _f, _g: (a(self, _a) or b(self, _b) or c(self, _c)
+        or d(self, _d) or e(self, _e) or f(self, _f) or g(self, _g)),
+    lambda a, b, c, d, e, f, g, h: lambda self, _a, _b, _c, _d, _e, _f, _g, _h: (a(self, _a) or b(self, _b)
+        or c(self, _c) or d(self, _d) or e(self, _e) or f(self, _f) or g(self, _g) or h(self, _h)),
+    lambda a, b, c, d, e, f, g, h, i: lambda self, _a, _b, _c, _d, _e, _f, _g, _h, _i: (a(self, _a) or b(self, _b)
+        or c(self, _c) or d(self, _d) or e(self, _e) or f(self, _f) or g(self, _g) or h(self, _h) or i(self, _i)),
+    lambda a, b, c, d, e, f, g, h, i, j: lambda self, _a, _b, _c, _d, _e, _f, _g, _h, _i, _j: (a(self, _a)
+        or b(self, _b) or c(self, _c) or d(self, _d) or e(self, _e) or f(self, _f) or g(self, _g) or h(self, _h)
+        or i(self, _i) or j(self, _j)),
+    lambda a, b, c, d, e, f, g, h, i, j, k: lambda self, _a, _b, _c, _d, _e, _f, _g, _h, _i, _j, _k: (a(self, _a)
+        or b(self, _b) or c(self, _c) or d(self, _d) or e(self, _e) or f(self, _f) or g(self, _g) or h(self, _h)
+        or i(self, _i) or j(self, _j) or k(self, _k)),
+    lambda a, b, c, d, e, f, g, h, i, j, k, m: lambda self, _a, _b, _c, _d, _e, _f, _g, _h, _i, _j, _k, _m: (a(self, _a)
+        or b(self, _b) or c(self, _c) or d(self, _d) or e(self, _e) or f(self, _f) or g(self, _g) or h(self, _h)
+        or i(self, _i) or j(self, _j) or k(self, _k) or m(self, _m)),
+)
+# fmt: on
+"""For each usual number of fields, what takes their setters, which return None, and returns an ``__init__``. They stand
+here so that Python keeps them compiled. Code holds what it closes over in the order of the alphabet."""
 
-def _initialiser(cls: type[Any], fields: dict[str, _Field]) -> FunctionType:
+
+def _initialiser(cls: type[Any], fields: dict[str, _Field]) -> Callable[..., None]:
     names = tuple(fields)
-    factories = tuple([index for index, name in enumerate(names) if fields[name].factory])
-    code = _initialiser_code(len(names), factories)
-    values: list[Any] = [getattr(cls, name).__set__ for name in names]
-    if factories:
-        values += [_ABSENT, *(fields[names[index]].factory for index in factories)]
+    code = _initialiser_code(len(names))
     made = FunctionType(
-        code.replace(co_varnames=("self", *names), co_qualname=cls.__qualname__ + ".__init__"),
+        code.replace(co_varnames=("self", *names), co_name="__init__", co_qualname=cls.__qualname__ + ".__init__"),
         {"__name__": cls.__module__},
         "__init__",
         _defaults(cls, fields),
-        tuple(map(CellType, values)),
+        tuple([CellType(getattr(cls, name).__set__) for name in names]),
     )
     made.__module__ = cls.__module__
-    return made
+    factories = [(name, field.factory) for name, field in fields.items() if field.factory is not None]
+    return _filling(cls, made, factories) if factories else made
 
 
 @cache
-def _initialiser_code(count: int, factories: tuple[int, ...]) -> CodeType:
-    """The code of an ``__init__`` of that many fields, those of the indices ``factories`` made where none is given.
-
-    It closes over what sets each field, then over ``_ABSENT`` and the factories, if there are any. Their names here are
-    such that their order is that of the alphabet, in which code holds them.
-    """
-    fields = [f"{index:03}" for index in range(count)]
-    made = [fields[index] for index in factories]
-    lines = [f"def __init__({', '.join(['self', *(f'_{each}' for each in fields)])}):"]
-    for each in fields:
-        value = f"t_make_{each}() if _{each} is t_absent else _{each}" if each in made else f"_{each}"
-        lines.append(f"  s_set_{each}(self, {value})")
-    lines.append("  return None")
-    outer = [f"s_set_{each}" for each in fields] + (["t_absent", *(f"t_make_{each}" for each in made)] if made else [])
-    namespace: dict[str, Any] = {}
-    exec("\n ".join([f"def close({', '.join(outer)}):", *lines, "return __init__"]), namespace)
-    code: CodeType = namespace["close"](*outer).__code__
-    assert code.co_freevars == tuple(outer)
+def _initialiser_code(count: int) -> CodeType:
+    """The code of an ``__init__`` of that many fields, which closes over their setters."""
+    setters = [f"set_{index:03}" for index in range(count)]
+    if count < len(_INITIALISERS):
+        return _INITIALISERS[count](*setters).__code__
+    calls = " or ".join(f"{each}(self, _{each})" for each in setters)
+    parameters = ", ".join(f"_{each}" for each in setters)
+    code: CodeType = eval(f"lambda {', '.join(setters)}: lambda self, {parameters}: {calls}")(*setters).__code__
     return code
+
+
+def _filling(
+    cls: type[Any], initialise: Callable[..., None], factories: list[tuple[str, Callable[[], Any]]]
+) -> Callable[..., None]:
+    """An ``__init__`` that makes what was not given."""
+    parts = [(getattr(cls, name).__get__, getattr(cls, name).__set__, make) for name, make in factories]
+
+    def __init__(self: Any, *arguments: Any, **named: Any) -> None:  # noqa: N807
+        initialise(self, *arguments, **named)
+        for get, put, make in parts:
+            if get(self) is _ABSENT:
+                put(self, make())
+
+    __init__.__wrapped__ = initialise  # pyright: ignore[reportFunctionMemberAccess] - for its signature
+    return __init__
 
 
 def _defaults(cls: type[Any], fields: dict[str, _Field]) -> tuple[Any, ...]:
