@@ -7,12 +7,13 @@ BIN := $(VENV)/bin
 WORKERS ?= auto
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8
 
-.PHONY: help install demo test slow lint format clean
+.PHONY: help install demo test slow bench bench-docs lint format clean
 
 help:
 	@echo "make demo     a bunny of tetrahedra falls, bounces and settles; leaves a picture in out/"
 	@echo "make test     the tests, some minutes"
 	@echo "make slow     the long tests, which CI runs once"
+	@echo "make bench    Ebb against C++, Numba, Taichi, Quadrants and Warp, some minutes; BENCH=--help lists options"
 	@echo "make lint     ruff and pyright"
 	@echo "make format   formats the code"
 	@echo "make clean    removes the environment and what was made"
@@ -37,6 +38,20 @@ test: install
 slow: install
 	$(PYTEST) -m slow
 
+# The peers have an environment of their own: they may want other versions of what Ebb needs.
+PEERS := $(VENV)-bench
+
+bench: install $(PEERS)/.installed
+	$(BIN)/python -m benchmarks.run --python $(PEERS)/bin/python $(BENCH)
+
+# Keeps the results in benchmarks/results and writes docs/benchmarks.md.
+bench-docs: BENCH += --write-docs
+bench-docs: bench
+
+$(PEERS)/.installed: pyproject.toml
+	$(BIN)/python -m benchmarks.install $(PEERS)
+	@touch $@
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -47,4 +62,4 @@ format: install
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) build dist out .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(PEERS) build dist out .pytest_cache .ruff_cache .hypothesis

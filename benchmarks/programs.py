@@ -1,0 +1,254 @@
+"""What is measured: the programs, their inputs, what they must compute, and the least that they must move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from benchmarks import data, expected
+from benchmarks.constants import FMA_PER_STEP, PCG_ITERATIONS
+from benchmarks.data import Arrays
+
+
+class Scale(Enum):
+    """How large the inputs are: those of the published table, those of a first look, those of the smoke test."""
+
+    FULL = "full"
+    QUICK = "quick"
+    TINY = "tiny"
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What a step at least moves, each array once a pass, and how much it computes.
+
+    What is written without being read counts twice: its cache lines are read first.
+    """
+
+    bytes: int
+    flops: int
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A program and its input.
+
+    Attributes:
+        name: for ``--only``.
+        title: for tables.
+        code: the name under which systems have it; programs that differ in their data share it.
+        sizes: what ``make`` takes at each scale.
+        expected: the outputs after so many steps, by NumPy in float64.
+        tolerance: of the outputs, relative to the largest number in them.
+        work: of a step; None where it does not matter.
+        against: programs of Ebb's that run in the same rounds, for a ratio to them.
+        systems: which take part.
+        threads: with how many; None where the caller says.
+        rounds: at most so many.
+    """
+
+    name: str
+    title: str
+    code: str
+    make: Callable[[int], Arrays]
+    sizes: dict[Scale, int]
+    expected: Callable[[Arrays, int], Arrays]
+    tolerance: float = 1e-4
+    work: Callable[[Arrays], Work] | None = None
+    against: tuple[str, ...] = ()
+    systems: tuple[str, ...] = ("ebb", "cpp", "numba", "taichi", "quadrants", "warp")
+    threads: tuple[int, ...] | None = None
+    rounds: int = 1000
+    check_steps: int = 3
+
+
+# An edge: 3 subtractions, 5 for the square, root, division, 3 times 3 for the pull and 3 sums. A vertex: 3 times 9.
+SPRING_FLOPS, MOVE_FLOPS = 22, 27
+
+
+def gather_work(arrays: Arrays) -> Work:
+    """Forces read head, rest_len, first, q and add to force; the move reads and writes q, qd, force, and reads mass."""
+    edges, vertices = len(arrays["head"]), len(arrays["q"])
+    return Work(8 * edges + (4 + 12 + 24 + 3 * 24 + 4) * vertices, SPRING_FLOPS * edges + MOVE_FLOPS * vertices)
+
+
+def scatter_work(arrays: Arrays) -> Work:
+    edges, vertices = len(arrays["head"]), len(arrays["q"])
+    return Work(12 * edges + (12 + 24 + 3 * 24 + 4) * vertices, SPRING_FLOPS * edges + MOVE_FLOPS * vertices)
+
+
+def axpy_work(arrays: Arrays) -> Work:
+    return Work(12 * len(arrays["x"]), 2 * len(arrays["x"]))
+
+
+def stencil_work(arrays: Arrays) -> Work:
+    cells = int(np.prod(np.subtract(arrays["old"].shape, 2)))
+    return Work(12 * cells, 8 * cells)
+
+
+def heat_work(arrays: Arrays) -> Work:
+    edges, vertices = len(arrays["head"]), len(arrays["old"])
+    return Work(8 * edges + (12 + 8) * vertices, 3 * edges + 2 * vertices)
+
+
+def pcg_work(arrays: Arrays) -> Work:
+    """A product (first, diagonal, p, product), an update (x, r, p, product, diagonal), a direction (r, diagonal, p)."""
+    edges, vertices = len(arrays["head"]), len(arrays["b"])
+    iteration = Work(8 * edges + (20 + 28 + 16) * vertices, 2 * edges + 14 * vertices)
+    return Work(PCG_ITERATIONS * iteration.bytes + 32 * vertices, PCG_ITERATIONS * iteration.flops)
+
+
+BOX = {Scale.FULL: 52, Scale.QUICK: 24, Scale.TINY: 3}
+
+PROGRAMS = (
+    Program(
+        "gather",
+        "spring-mass step, gather over the edges of a vertex",
+        "gather",
+        data.springs,
+        BOX,
+        expected.spring_steps,
+        work=gather_work,
+    ),
+    Program(
+        "scatter",
+        "spring-mass step, each directed edge adds to its tail",
+        "scatter",
+        data.springs,
+        BOX,
+        expected.spring_steps,
+        work=scatter_work,
+        against=("gather",),
+    ),
+    Program(
+        "both-ends",
+        "spring-mass step, each undirected edge adds to both ends",
+        "both-ends",
+        lambda n: data.undirected(data.springs(n)),
+        BOX,
+        expected.spring_steps,
+        work=scatter_work,
+        against=("gather",),
+    ),
+    Program(
+        "gather-shuffled",
+        "the gather step, rows of the mesh shuffled",
+        "gather",
+        lambda n: data.shuffled(data.springs(n)),
+        BOX,
+        expected.spring_steps,
+        work=gather_work,
+        against=("gather",),
+    ),
+    Program(
+        "scatter-shuffled",
+        "the scatter step, rows of the mesh shuffled",
+        "scatter",
+        lambda n: data.shuffled(data.springs(n)),
+        BOX,
+        expected.spring_steps,
+        work=scatter_work,
+        against=("scatter",),
+    ),
+    Program(
+        "streaming",
+        "y = a*x + y, 10^7 rows",
+        "streaming",
+        data.rows,
+        {Scale.FULL: 10_000_000, Scale.QUICK: 1_000_000, Scale.TINY: 1000},
+        expected.axpy_steps,
+        work=axpy_work,
+    ),
+    Program(
+        "stencil",
+        "7-point stencil, 256^3 cells",
+        "stencil",
+        data.grid,
+        {Scale.FULL: 256, Scale.QUICK: 96, Scale.TINY: 6},
+        expected.stencil_steps,
+        work=stencil_work,
+    ),
+    Program(
+        "heat",
+        "heat on a torus of triangles, explicit step",
+        "heat",
+        data.surface,
+        {Scale.FULL: 400, Scale.QUICK: 100, Scale.TINY: 6},
+        expected.heat_steps,
+        work=heat_work,
+    ),
+    Program(
+        "pcg",
+        f"{PCG_ITERATIONS} iterations of PCG on a Laplacian of tetrahedra",
+        "pcg",
+        data.laplacian,
+        BOX,
+        expected.pcg_steps,
+        tolerance=1e-3,
+        work=pcg_work,
+        check_steps=1,
+    ),
+    Program(
+        "launch",
+        "one launch on 1 row",
+        "streaming",
+        data.rows,
+        dict.fromkeys(Scale, 1),
+        expected.axpy_steps,
+        threads=(1,),
+    ),
+    Program(
+        "captured",
+        "one launch on 1 row, recorded once and replayed",
+        "captured",
+        data.rows,
+        dict.fromkeys(Scale, 1),
+        expected.axpy_steps,
+        systems=("ebb", "cpp", "warp"),
+        threads=(1,),
+    ),
+    Program(
+        "interpreter",
+        "the gather step on a small box, also by the reference interpreter",
+        "gather",
+        data.springs,
+        {Scale.FULL: 12, Scale.QUICK: 8, Scale.TINY: 2},
+        expected.spring_steps,
+        systems=("ebb", "reference", "cpp"),
+        threads=(1,),
+        rounds=3,
+        check_steps=1,
+    ),
+)
+
+BY_NAME = {program.name: program for program in PROGRAMS}
+
+
+def triad(program: Program, working_set: int) -> Program:
+    """``a = b + s*c`` over a working set of the size of that program's: what the memory gives at best."""
+    n = max(16, working_set // 12 // 16 * 16)
+    return Program(
+        f"triad-{program.name}",
+        "triad over the same working set",
+        "triad",
+        lambda _: {"a": np.zeros(n, np.float32), **{name: np.ones(n, np.float32) for name in "bc"}},
+        program.sizes,
+        lambda arrays, _: {"a": arrays["b"] + 3.0 * arrays["c"]},
+        work=lambda _: Work(16 * n, 2 * n),
+        systems=("cpp",),
+    )
+
+
+FMA = Program(
+    "fma",
+    "independent fused multiply-adds in registers",
+    "fma",
+    lambda _: {"a": np.zeros(1, np.float32)},
+    dict.fromkeys(Scale, 1),
+    lambda arrays, _: {"a": np.zeros(1)},
+    work=lambda _: Work(0, 2 * FMA_PER_STEP),
+    systems=("cpp",),
+)
