@@ -8,7 +8,7 @@ from typing import Any
 import llvmlite
 import llvmlite.binding as llvm
 
-from ebb.backends.llvm.hooks import CPU, Hooks
+from ebb.backends.llvm.hooks import Hooks, cpu_hooks
 from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.errors import NoMachineCode
@@ -67,7 +67,7 @@ def host() -> Target:
     except RuntimeError as error:
         raise BackendError(NoMachineCode(triple, str(error))) from error
     tuned = [tuning for family, tuning in _TUNING.items() if cpu.startswith(family)]
-    return Target(triple, cpu, ",".join((features, *tuned)), CPU)
+    return Target(triple, cpu, ",".join((features, *tuned)), cpu_hooks(features))
 
 
 @cache

@@ -318,14 +318,22 @@ class If:
     orelse: Body
 
 
+class Turns(Enum):
+    """Whether the turns of a loop have an order: where they have none, sums over them may be taken in any grouping."""
+
+    IN_ORDER = "in order"
+    ANY_ORDER = "in any order"
+
+
 @record
 class For:
-    """``for counter in range(start, stop)``."""
+    """``for counter in range(start, stop)``. ``turns`` says whether their order means anything."""
 
     counter: Temp
     start: Value
     stop: Value
     body: Body
+    turns: Turns
 
 
 @record

@@ -93,8 +93,9 @@ def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind
             if orelse:
                 yield "else:"
                 yield from _body(orelse)
-        case lir.For(counter, start, stop, body):
-            yield f"for {_temp(counter)}: {counter.type!r} in {value(start)} .. {value(stop)}:"
+        case lir.For(counter, start, stop, body, turns):
+            order = ", in any order" if turns is lir.Turns.ANY_ORDER else ""
+            yield f"for {_temp(counter)}: {counter.type!r} in {value(start)} .. {value(stop)}{order}:"
             yield from _body(body)
         case lir.While(head, condition, body):
             yield "while:"

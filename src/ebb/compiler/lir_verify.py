@@ -75,7 +75,7 @@ class _Checker:
                 self.typed(condition, bool_)
                 self.body(then)
                 self.body(orelse)
-            case lir.For(counter, start, stop, body):
+            case lir.For(counter, start, stop, body, _):
                 self.typed(start, counter.type)
                 self.typed(stop, counter.type)
                 self.loop((counter,), body)

@@ -98,9 +98,12 @@ def column_stride(rows: int, itemsize: int) -> int:
 
 
 def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
-    """A zeroed C-contiguous array whose first byte is aligned to ``ALIGNMENT``."""
+    """A zeroed C-contiguous array whose first byte is aligned to ``ALIGNMENT``.
+
+    At least ``ALIGNMENT`` bytes behind it may be read: kernels load the rows of short vectors by whole registers.
+    """
     nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
-    block = np.zeros(nbytes + ALIGNMENT, dtype=np.uint8)
+    block = np.zeros(nbytes + 2 * ALIGNMENT, dtype=np.uint8)
     start = -block.ctypes.data % ALIGNMENT
     return block[start : start + nbytes].view(dtype).reshape(shape)
 

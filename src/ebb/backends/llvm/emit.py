@@ -10,7 +10,9 @@ from collections.abc import Sequence
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entries
-from ebb.backends.llvm.hooks import Hooks
+from ebb.backends.llvm.hooks import Hooks, Strips
+from ebb.backends.llvm.lanes import Flags, emit_strips
+from ebb.backends.llvm.strips import plan_strips, variable_reads
 from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
 from ebb.runtime.cpu import PAYLOAD_START
@@ -19,7 +21,13 @@ _FLAGS = {
     lir.Precision.CONTRACT: " contract",
     lir.Precision.FAST: " reassoc nsz arcp contract afn",
 }
-_ACCUMULATE_FLAGS = " reassoc nsz contract"
+_SUM_FLAGS = {
+    lir.Precision.CONTRACT: " reassoc nsz contract",
+    lir.Precision.FAST: _FLAGS[lir.Precision.FAST],
+}
+
+_AS_IT_IS = ('!"llvm.loop.isvectorized", i32 1', '!"llvm.loop.unroll.disable"')
+"""What tells LLVM to leave a loop alone: that it is vectorised, and that it is not to be unrolled."""
 
 
 def emit(program: lir.Program, hooks: Hooks) -> str:
@@ -59,6 +67,8 @@ class _Emitter:
         self.module = module
         self.w = FunctionWriter(module)
         self.flags = _FLAGS[program.precision]
+        self.sum_flags = _SUM_FLAGS[program.precision]
+        self.variable_reads = variable_reads((*program.block, *program.finish))
         self.temps: dict[int, str] = {program.block_number.number: "%block"}
         self.vars: dict[int, str] = {}
         self.labels: dict[int, str] = {}
@@ -138,13 +148,13 @@ class _Emitter:
             case lir.StoreVar(var, index, value):
                 self.store_var(var, self.value(index), self.value(value))
             case lir.Store(slot, index, value):
-                self.store(slot, self.value(index), value)
+                self.store(slot, self.value(index), self.value(value))
             case lir.Accumulate():
-                self.accumulate(stmt)
+                self.add_to(stmt.var, self.value(stmt.index), stmt.op, self.value(stmt.value))
             case lir.If():
                 self.if_(stmt)
-            case lir.For(counter, start, stop, body):
-                self.count(counter, self.value(start), self.value(stop), body)
+            case lir.For():
+                self.for_(stmt)
             case lir.While():
                 self.while_(stmt)
             case lir.Block(label, body):
@@ -171,18 +181,21 @@ class _Emitter:
     def store_var(self, var: lir.Var, index: str, value: str) -> None:
         self.w.do(f"store {ops.llvm_type(var.type)} {value}, ptr {self.component(var, index)}")
 
-    def store(self, slot: lir.Slot, index: str, value: lir.Value) -> None:
-        memory, stored = ops.memory_type(slot.type), self.value(value)
+    def store(self, slot: lir.Slot, index: str, stored: str) -> None:
+        memory = ops.memory_type(slot.type)
         if memory != ops.llvm_type(slot.type):
             stored = self.w.emit(f"zext i1 {stored} to i8")
         self.w.do(f"store {memory} {stored}, ptr {self.element(slot, index)}{self.group()}")
 
-    def accumulate(self, stmt: lir.Accumulate) -> None:
-        index = self.value(stmt.index)
-        t = ops.llvm_type(stmt.var.type)
-        before = self.w.emit(f"load {t}, ptr {self.component(stmt.var, index)}")
-        after = ops.binary(self.w, stmt.op, stmt.var.type, before, self.value(stmt.value), _ACCUMULATE_FLAGS)
-        self.store_var(stmt.var, index, after)
+    def add_to(self, place: lir.Slot | lir.Var, index: str, op: str, value: str) -> None:
+        """``place[index] = place[index] op value``, in any grouping of the values that are added."""
+        match place:
+            case lir.Slot():
+                after = ops.binary(self.w, op, place.type, self.load(place, index), value, self.sum_flags)
+                self.store(place, index, after)
+            case lir.Var():
+                before = self.w.emit(f"load {ops.llvm_type(place.type)}, ptr {self.component(place, index)}")
+                self.store_var(place, index, ops.binary(self.w, op, place.type, before, value, self.sum_flags))
 
     def if_(self, stmt: lir.If) -> None:
         then, orelse, end = (self.w.fresh(stem) for stem in ("then", "else", "end"))
@@ -206,6 +219,18 @@ class _Emitter:
         self.body(stmt.body)
         self.w.branch(head)
         self.w.start(done)
+
+    def for_(self, stmt: lir.For) -> None:
+        """In strips where the order of the turns means nothing, the target is for it, and the body is fit."""
+        plan = None
+        if stmt.turns is lir.Turns.ANY_ORDER and self.module.hooks.strips is Strips.MASKED:
+            plan = plan_strips(stmt, self.variable_reads)
+        if plan is None:
+            self.count(stmt.counter, self.value(stmt.start), self.value(stmt.stop), stmt.body)
+            return
+        notes = [self.module.note(f"!{{{{{note}}}}}") for note in _AS_IT_IS]
+        metadata = self.module.note(f"distinct !{{{{{{self}}, {', '.join(notes)}}}}}")
+        emit_strips(self, stmt, plan, Flags(self.flags, self.sum_flags), f", !llvm.loop {metadata}")
 
     def count(self, counter: lir.Temp, start: str, stop: str, body: lir.Body, metadata: str = "") -> None:
         head, turn, latch, done = (self.w.fresh(stem) for stem in ("head", "turn", "latch", "done"))

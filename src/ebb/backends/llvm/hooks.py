@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import Enum
 
-from ebb.records import record
+from ebb.records import record, replace
 
 _INTRINSICS = (
     "sqrt", "exp", "exp2", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
     "tanh", "floor", "ceil", "trunc", "pow", "atan2", "copysign",
 )  # fmt: skip
 _LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot", "erf", "erfc", "lgamma")
+
+
+class Strips(Enum):
+    """Whether loops run several turns at once, in vectors of the emitter's own making."""
+
+    NONE = "none"
+    MASKED = "masked"
+    """Where vector loads under a mask are instructions."""
 
 
 @record
@@ -22,11 +31,13 @@ class Hooks:
         math: the function that computes each function of ``lir.MATH`` on floats; ``{type}`` stands for LLVM's ``f32``
             or ``f64``, ``{suffix}`` for C's ``f`` or nothing.
         attributes: the attributes of the functions that loop over rows.
+        strips: which loops run in strips.
     """
 
     name: str
     math: Mapping[str, str]
     attributes: str
+    strips: Strips
 
 
 CPU = Hooks(
@@ -35,4 +46,14 @@ CPU = Hooks(
     | {"abs": "llvm.fabs.{type}", "round": "llvm.rint.{type}", "gamma": "tgamma{suffix}"}
     | {name: f"{name}{{suffix}}" for name in _LIBM},
     attributes='nounwind "prefer-vector-width"="512" "no-trapping-math"="true"',
+    strips=Strips.NONE,
 )
+
+STRIPS_FEATURE = "+avx2"
+"""What a processor must have for strips to be quicker than plain loops."""
+
+
+def cpu_hooks(features: str) -> Hooks:
+    """The hooks of a processor with ``features``, as LLVM spells them."""
+    strips = Strips.MASKED if STRIPS_FEATURE in features.split(",") else Strips.NONE
+    return replace(CPU, strips=strips)

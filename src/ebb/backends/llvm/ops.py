@@ -112,15 +112,41 @@ def binary(w: Writer, op: str, scalar: ScalarType, a: str, b: str, flags: str) -
     return _IRREGULAR[op, scalar.kind](w, scalar, a, b)
 
 
+def regular(op: str, scalar: ScalarType) -> str:
+    """The instruction of an arithmetic operator."""
+    return (_FLOAT if scalar.kind is Kind.FLOAT else _INTEGER)[op]
+
+
+def comparison(op: str, scalar: ScalarType) -> str:
+    """The instruction of a comparison."""
+    return f"{'fcmp' if scalar.kind is Kind.FLOAT else 'icmp'} {_COMPARE[scalar.kind][op]}"
+
+
+def min_max(op: str, scalar: ScalarType) -> str:
+    """The intrinsic of ``min`` or ``max``, without the suffix of the type."""
+    return _MINMAX[scalar.kind][op]
+
+
+def conversion(source: ScalarType, target: ScalarType) -> str:
+    """The instruction that converts between numbers, but for floats to integers, which takes an intrinsic."""
+    signed = source.kind is Kind.SIGNED
+    if target.kind is Kind.FLOAT:
+        if source.kind is Kind.FLOAT:
+            return "fptrunc" if target.bits < source.bits else "fpext"
+        return "sitofp" if signed else "uitofp"
+    if source.kind is not Kind.BOOL and target.bits < source.bits:
+        return "trunc"
+    return "sext" if signed else "zext"
+
+
 def compare(w: Writer, op: str, scalar: ScalarType, a: str, b: str) -> str:
     """``a op b``, one bit."""
-    instruction = "fcmp" if scalar.kind is Kind.FLOAT else "icmp"
-    return w.emit(f"{instruction} {_COMPARE[scalar.kind][op]} {llvm_type(scalar)} {a}, {b}")
+    return w.emit(f"{comparison(op, scalar)} {llvm_type(scalar)} {a}, {b}")
 
 
 def _min_max(w: Writer, op: str, scalar: ScalarType, a: str, b: str, flags: str) -> str:
     t = llvm_type(scalar)
-    name = f"{_MINMAX[scalar.kind][op]}.{_suffix(scalar)}"
+    name = f"{min_max(op, scalar)}.{_suffix(scalar)}"
     w.declare(f"{t} @{name}({t}, {t})")
     # Which of -0.0 and 0.0 comes out is not fixed, as in NumPy; without nsz that costs instructions.
     extra = f"{flags}{'' if 'nsz' in flags else ' nsz'}" if scalar.kind is Kind.FLOAT else ""
@@ -261,20 +287,13 @@ def convert(w: Writer, source: ScalarType, target: ScalarType, x: str) -> str:
         return w.emit(f"fcmp une {s} {x}, 0.0" if source.kind is Kind.FLOAT else f"icmp ne {s} {x}, 0")
     if source.kind is Kind.FLOAT:
         return _from_float(w, source, target, x)
-    signed = source.kind is Kind.SIGNED
-    if target.kind is Kind.FLOAT:
-        return w.emit(f"{'sitofp' if signed else 'uitofp'} {s} {x} to {t}")
-    if s == t:
-        return x
-    if source.kind is not Kind.BOOL and target.bits < source.bits:
-        return w.emit(f"trunc {s} {x} to {t}")
-    return w.emit(f"{'sext' if signed else 'zext'} {s} {x} to {t}")
+    return x if s == t else w.emit(f"{conversion(source, target)} {s} {x} to {t}")
 
 
 def _from_float(w: Writer, source: ScalarType, target: ScalarType, x: str) -> str:
     s, t = llvm_type(source), llvm_type(target)
     if target.kind is Kind.FLOAT:
-        return w.emit(f"{'fptrunc' if target.bits < source.bits else 'fpext'} {s} {x} to {t}")
+        return w.emit(f"{conversion(source, target)} {s} {x} to {t}")
     sign = "s" if target.kind is Kind.SIGNED else "u"
     name = f"llvm.fpto{sign}i.sat.{t}.{_suffix(source)}"
     w.declare(f"{t} @{name}({s})")

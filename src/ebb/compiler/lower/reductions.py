@@ -55,7 +55,7 @@ def combine_partials(ctx: Context, reduced: dict[Global, str]) -> None:
             for k in range(size):
                 partial = b.load(ctx.slot(lir.Partials(reduction)), b.add_index(first, k))
                 b.store_var(total, k, b.binary(op, b.load_var(total, k), partial))
-        b.add(lir.For(block, index(0), blocks, tuple(turn)))
+        b.add(lir.For(block, index(0), blocks, tuple(turn), lir.Turns.IN_ORDER))
         slot = ctx.slot(lir.GlobalData(globl))
         for k in range(size):
             b.add(lir.Store(slot, index(k), b.binary(op, b.load(slot, index(k)), b.load_var(total, k))))

@@ -138,16 +138,17 @@ def _open_loop(ctx: Context) -> None:
 
 
 def _counted(
-    ctx: Context, local: kir.Local, counter: lir.Temp, bounds: tuple[lir.Value, lir.Value], start: list[lir.Stmt],
-    value: lir.Value, body: kir.Body,
+    ctx: Context, loop: kir.ForRange | kir.ForQuery, counter: lir.Temp, bounds: tuple[lir.Value, lir.Value],
+    start: list[lir.Stmt], value: lir.Value,
 ) -> None:  # fmt: skip
-    """A loop that first runs ``start``, which computes ``value``, the value of ``local``."""
+    """``loop``, each turn of which first runs ``start``, which computes ``value``, the value of its local."""
     _open_loop(ctx)
     with ctx.build.body() as turn:
         ctx.build.extend(start)
-        bind(ctx, local, (value,))
-        ctx.build.extend(_loop_body(ctx, body))
-    _add_loop(ctx, body, lir.For(counter, *bounds, tuple(turn)))
+        bind(ctx, loop.local, (value,))
+        ctx.build.extend(_loop_body(ctx, loop.body))
+    turns = lir.Turns.ANY_ORDER if isinstance(loop, kir.ForQuery) else lir.Turns.IN_ORDER
+    _add_loop(ctx, loop.body, lir.For(counter, *bounds, tuple(turn), turns))
 
 
 def _for_range(ctx: Context, stmt: kir.ForRange) -> None:
@@ -158,7 +159,7 @@ def _for_range(ctx: Context, stmt: kir.ForRange) -> None:
         if isinstance(start, lir.Literal) and isinstance(stop, lir.Literal) and stmt.local.uid not in ctx.variables:
             ctx.ranges[stmt.local.uid] = (start.value, stop.value - 1)
         counter = b.temp(scalar)
-        _counted(ctx, stmt.local, counter, (start, stop), [], counter, stmt.body)
+        _counted(ctx, stmt, counter, (start, stop), [], counter)
         return
     if not isinstance(step, lir.Literal) or step.value == 0:
         ctx.fail_if(b.compare("==", step, number(0, scalar)), StepSite(stmt))
@@ -166,7 +167,7 @@ def _for_range(ctx: Context, stmt: kir.ForRange) -> None:
     counter = b.temp(uint64)
     with b.body() as head:
         value = b.binary("+", start, b.binary("*", b.convert(counter, scalar), step))
-    _counted(ctx, stmt.local, counter, (lir.Literal(0, uint64), count), head, value, stmt.body)
+    _counted(ctx, stmt, counter, (lir.Literal(0, uint64), count), head, value)
 
 
 def _turns(ctx: Context, start: lir.Value, stop: lir.Value, step: lir.Value) -> lir.Value:
@@ -192,7 +193,7 @@ def _for_query(ctx: Context, stmt: kir.ForQuery) -> None:
     with b.body() as head:
         if stmt.index in ctx.facts.indirect:
             value = b.load(ctx.slot(lir.GroupRows(stmt.index)), counter)
-    _counted(ctx, stmt.local, counter, bounds, head, value, stmt.body)
+    _counted(ctx, stmt, counter, bounds, head, value)
 
 
 def _while(ctx: Context, condition: kir.Expr, body: kir.Body) -> None:

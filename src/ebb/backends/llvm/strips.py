@@ -1,0 +1,392 @@
+"""Which loops can do several turns at once, in the lanes of vector registers, and what each of their parts is then.
+
+LLVM's own vectoriser gives up on the loops that matter most here: few turns, sums in the memory of the row, values of
+other rows. Those of a query run in any order, and sums over them are taken in any grouping. A loop is taken when all
+it does is arithmetic, loads, and sums into places that no turn chooses; conditions become masks.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import TypeAlias
+
+from ebb.compiler import lir
+from ebb.records import record
+from ebb.types.types import Kind
+
+LANE_MATH = frozenset({"sqrt", "abs", "floor", "ceil", "trunc", "round", "copysign"})
+"""The functions that every target computes for all lanes at once."""
+
+_LANE_BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
+_SUMS = frozenset({"+", "*", "min", "max", "&", "|", "^"})
+
+PlaceKey: TypeAlias = tuple[str, int, int | str]
+"""What tells places apart: kind and number of the slot or variable, and the index."""
+
+
+@record
+class Sum:
+    """A place that turns add to, by ``op``."""
+
+    place: lir.Slot | lir.Var
+    index: lir.Value
+    op: str
+
+
+@record
+class Update:
+    """A store that adds ``value`` to the sum ``key`` by ``op``: that of the sum, or ``-`` where that is ``+``."""
+
+    key: PlaceKey
+    op: str
+    value: lir.Value
+
+
+@record
+class RowLoad:
+    """The loads of one slot at a root and small offsets: mostly the components of a row of another relation."""
+
+    slot: lir.Slot
+    root: lir.Value
+    loads: tuple[tuple[int, lir.Temp], ...]
+
+
+class Plan:
+    """How a loop runs in strips.
+
+    Attributes:
+        definitions: the operation of each temporary of the loop, by number.
+        varying: the temporaries that differ between turns.
+        early: those that are computed before the loop, in order.
+        skipped: the loads and sums that updates stand for.
+        addressing: the temporaries that addresses are computed from.
+        private: the variables that belong to one turn, by number.
+        loose: the temporaries that come from such a variable: beyond the end they may be anything.
+        sums: the places that are added to.
+        updates: the stores that do so, by the identity of the statement.
+        rows: the loads of rows, by the number of the temporary of the load that comes first.
+        members: the temporaries that some other load of the row defines.
+        fails: whether a turn may fail.
+    """
+
+    def __init__(self) -> None:
+        self.definitions: dict[int, lir.Operation] = {}
+        self.varying: set[int] = set()
+        self.early: list[lir.Let] = []
+        self.skipped: set[int] = set()
+        self.addressing: set[int] = set()
+        self.private: set[int] = set()
+        self.loose: set[int] = set()
+        self.sums: dict[PlaceKey, Sum] = {}
+        self.updates: dict[int, Update] = {}
+        self.rows: dict[int, RowLoad] = {}
+        self.members: set[int] = set()
+        self.fails = False
+
+    def varies(self, value: lir.Value) -> bool:
+        """Whether ``value`` differs between turns."""
+        return isinstance(value, lir.Temp) and value.number in self.varying
+
+    def is_loose(self, value: lir.Value) -> bool:
+        """Whether ``value`` may be anything in a lane beyond the end."""
+        return isinstance(value, lir.Temp) and value.number in self.loose
+
+
+class _Unfit(Exception):  # noqa: N818 - no error: the loop is taken as it is
+    """The loop cannot run in strips."""
+
+
+def plan_strips(loop: lir.For, reads: Mapping[int, int]) -> Plan | None:
+    """How ``loop`` runs in strips, or None where it cannot.
+
+    Args:
+        loop: a loop whose turns may run in any order.
+        reads: how often the program reads each variable, by number, this loop included.
+    """
+    try:
+        return _Planner(loop, reads).plan
+    except _Unfit:
+        return None
+
+
+def variable_reads(body: lir.Body) -> Counter[int]:
+    """How often ``body`` reads each variable, by number."""
+    return Counter(
+        stmt.operation.var.number
+        for stmt in statements(body)
+        if isinstance(stmt, lir.Let) and isinstance(stmt.operation, lir.LoadVar)
+    )
+
+
+def statements(body: lir.Body) -> Iterator[lir.Stmt]:
+    """All statements of ``body``, those of bodies inside it too."""
+    for stmt in body:
+        yield stmt
+        for inner in _bodies(stmt):
+            yield from statements(inner)
+
+
+def _bodies(stmt: lir.Stmt) -> tuple[lir.Body, ...]:
+    match stmt:
+        case lir.If(_, then, orelse):
+            return (then, orelse)
+        case lir.While(head, _, body):
+            return (head, body)
+        case lir.For(body=body) | lir.Block(body=body) | lir.RowLoop(body=body):
+            return (body,)
+        case _:
+            return ()
+
+
+def operands(operation: lir.Operation) -> tuple[lir.Value, ...]:
+    """The values that ``operation`` takes."""
+    match operation:
+        case lir.Unary(_, operand) | lir.Convert(operand):
+            return (operand,)
+        case lir.Binary(_, left, right) | lir.Compare(_, left, right):
+            return (left, right)
+        case lir.Select(condition, then, other):
+            return (condition, then, other)
+        case lir.Math(_, values):
+            return values
+        case lir.Load(_, index) | lir.LoadVar(_, index):
+            return (index,)
+        case lir.LoadArgument():
+            return ()
+
+
+def is_failure(stmt: lir.If) -> bool:
+    """Whether ``stmt`` does nothing but fail."""
+    arms = [arm for arm in (stmt.then, stmt.orelse) if arm]
+    return len(arms) == 1 and len(arms[0]) == 1 and isinstance(arms[0][0], lir.Fail)
+
+
+def split(plan_: Plan, index: lir.Value) -> tuple[lir.Value, int]:
+    """``index`` as a root and a constant."""
+    offset = 0
+    while isinstance(index, lir.Temp):
+        match plan_.definitions.get(index.number):
+            case lir.Binary("+", root, lir.Literal(constant)):
+                index, offset = root, offset + constant
+            case _:
+                break
+    return index, offset
+
+
+class _Planner:
+    """Makes the plan of one loop."""
+
+    def __init__(self, loop: lir.For, reads: Mapping[int, int]) -> None:
+        self.loop = loop
+        self.plan = Plan()
+        lets = [stmt for stmt in statements(loop.body) if isinstance(stmt, lir.Let)]
+        self.plan.definitions = {let.temp.number: let.operation for let in lets}
+        self.uses = Counter(
+            value.number for stmt in statements(loop.body) for value in _used(stmt) if isinstance(value, lir.Temp)
+        )
+        self.find_updates(loop.body)
+        self.find_private(reads)
+        self.find_varying(lets)
+        self.find_early(lets)
+        self.check(loop.body, set[tuple[int, int]]())
+        self.find_rows(loop.body)
+        self.find_addressing(lets)
+        self.demand(bool(self.plan.sums))
+
+    # ---- Sums ----
+
+    def find_updates(self, body: lir.Body) -> None:
+        for stmt in statements(body):
+            match stmt:
+                case lir.Store(place, index, value) | lir.StoreVar(place, index, value):
+                    self.find_update(stmt, place, index, value)
+                case lir.Accumulate(var, index, op, value):
+                    self.add_update(stmt, var, index, Update(place_key(var, index), op, value))
+                case _:
+                    pass
+
+    def find_update(self, stmt: lir.Stmt, place: lir.Slot | lir.Var, index: lir.Value, stored: lir.Value) -> None:
+        """Notes that ``stmt`` adds to the place, if it does."""
+        if not (isinstance(stored, lir.Temp) and self.uses[stored.number] == 1):
+            return
+        match self.plan.definitions.get(stored.number):
+            case lir.Binary(op, left, right) if op in _SUMS and self.reads(left, place, index):
+                self.take(stmt, stored, left, Update(place_key(place, index), op, right), place, index)
+            case lir.Binary(op, left, right) if op in _SUMS and self.reads(right, place, index):
+                self.take(stmt, stored, right, Update(place_key(place, index), op, left), place, index)
+            case lir.Binary("-", left, right) if self.reads(left, place, index):
+                self.take(stmt, stored, left, Update(place_key(place, index), "-", right), place, index)
+            case _:
+                pass
+
+    def reads(self, value: lir.Value, place: lir.Slot | lir.Var, index: lir.Value) -> bool:
+        """Whether ``value`` is what was in the place, and is used for nothing else."""
+        if not (isinstance(value, lir.Temp) and self.uses[value.number] == 1):
+            return False
+        match self.plan.definitions.get(value.number):
+            case lir.Load(read, at) | lir.LoadVar(read, at):
+                return read == place and at == index
+            case _:
+                return False
+
+    def take(
+        self, stmt: lir.Stmt, stored: lir.Value, loaded: lir.Value, update: Update, place: lir.Slot | lir.Var,
+        index: lir.Value,
+    ) -> None:  # fmt: skip
+        assert isinstance(stored, lir.Temp) and isinstance(loaded, lir.Temp)
+        self.plan.skipped |= {stored.number, loaded.number}
+        self.add_update(stmt, place, index, update)
+
+    def add_update(self, stmt: lir.Stmt, place: lir.Slot | lir.Var, index: lir.Value, update: Update) -> None:
+        op = "+" if update.op == "-" else update.op
+        known = self.plan.sums.setdefault(update.key, Sum(place, index, op))
+        self.demand(known.op == op)
+        self.plan.updates[id(stmt)] = update
+
+    # ---- What varies ----
+
+    def find_private(self, reads: Mapping[int, int]) -> None:
+        """Variables that are stored to and are no sums are of one turn: nothing else may read them."""
+        summed = {sum_.place.number for sum_ in self.plan.sums.values() if isinstance(sum_.place, lir.Var)}
+        here = variable_reads(self.loop.body)
+        for stmt in statements(self.loop.body):
+            if isinstance(stmt, lir.Declare | lir.StoreVar) and id(stmt) not in self.plan.updates:
+                self.demand(stmt.var.number not in summed and here[stmt.var.number] == reads[stmt.var.number])
+                self.plan.private.add(stmt.var.number)
+
+    def find_varying(self, lets: list[lir.Let]) -> None:
+        varying, loose = self.plan.varying, self.plan.loose
+        varying.add(self.loop.counter.number)
+        for let in lets:
+            private = isinstance(let.operation, lir.LoadVar) and let.operation.var.number in self.plan.private
+            if private or any(map(self.plan.is_loose, operands(let.operation))):
+                loose.add(let.temp.number)
+            if private or any(map(self.plan.varies, operands(let.operation))):
+                varying.add(let.temp.number)
+
+    def find_early(self, lets: list[lir.Let]) -> None:
+        """Arithmetic on what does not vary is done before the loop, whether or not a turn asks for it."""
+        late: set[int] = set()
+        for let in lets:
+            number = let.temp.number
+            reads = isinstance(let.operation, lir.Load | lir.LoadVar)
+            used = [value.number for value in operands(let.operation) if isinstance(value, lir.Temp)]
+            if reads or number in self.plan.varying or not late.isdisjoint(used):
+                late.add(number)
+            elif number not in self.plan.skipped:
+                self.plan.early.append(let)
+        for sum_ in self.plan.sums.values():
+            self.demand(not (isinstance(sum_.index, lir.Temp) and sum_.index.number in late))
+
+    def find_addressing(self, lets: list[lir.Let]) -> None:
+        wanted = self.plan.addressing
+        for let in reversed(lets):
+            match let.operation:
+                case lir.Load(_, index) if let.temp.number not in self.plan.skipped:
+                    wanted.update(value.number for value in (index,) if isinstance(value, lir.Temp))
+                case _ if let.temp.number not in wanted:
+                    continue
+                case _:
+                    pass
+            if let.temp.number in wanted:
+                wanted.update(value.number for value in operands(let.operation) if isinstance(value, lir.Temp))
+
+    # ---- What is fit ----
+
+    @staticmethod
+    def demand(holds: bool) -> None:
+        if not holds:
+            raise _Unfit
+
+    def check(self, body: lir.Body, assigned: set[tuple[int, int]]) -> None:
+        """Every statement can be done in lanes; ``assigned`` are the components of private variables with a value."""
+        for stmt in body:
+            match stmt:
+                case lir.Let(temp, operation) if temp.number not in self.plan.skipped:
+                    self.check_operation(temp, operation, assigned)
+                case lir.Declare(var):
+                    assigned |= {(var.number, k) for k in range(var.size)}
+                case lir.StoreVar(var, lir.Literal(k)) if id(stmt) not in self.plan.updates:
+                    assigned.add((var.number, k))
+                case lir.If() if is_failure(stmt):
+                    self.plan.fails = True
+                case lir.If(_, then, orelse):
+                    arms = assigned.copy(), assigned.copy()
+                    self.check(then, arms[0])
+                    self.check(orelse, arms[1])
+                    assigned |= arms[0] & arms[1]
+                case lir.Let():
+                    pass
+                case _:
+                    self.demand(id(stmt) in self.plan.updates)
+
+    def check_operation(self, temp: lir.Temp, operation: lir.Operation, assigned: set[tuple[int, int]]) -> None:
+        match operation:
+            case lir.LoadVar(var, index):
+                self.check_variable(var, index, assigned)
+            case lir.Load(slot, _):
+                self.demand(all(sum_.place != slot for sum_ in self.plan.sums.values()))
+            case _ if temp.number not in self.plan.varying:
+                pass
+            case lir.Binary(op, _, _):
+                self.demand(op in _LANE_BINARY and (op != "/" or temp.type.kind is Kind.FLOAT))
+            case lir.Math(function, _):
+                self.demand(function in LANE_MATH)
+            case _:
+                pass
+
+    def check_variable(self, var: lir.Var, index: lir.Value, assigned: set[tuple[int, int]]) -> None:
+        summed = any(sum_.place == var for sum_ in self.plan.sums.values())
+        self.demand(not summed and not self.plan.varies(index))
+        if var.number in self.plan.private:
+            self.demand(isinstance(index, lir.Literal) and (var.number, index.value) in assigned)
+
+    # ---- Rows ----
+
+    def find_rows(self, body: lir.Body) -> None:
+        """Gathers the loads of one body by slot and root: they run under one mask, and nothing stores in between."""
+        found: dict[tuple[int, lir.Value], list[tuple[int, lir.Temp]]] = {}
+        slots: dict[int, lir.Slot] = {}
+        for stmt in body:
+            match stmt:
+                case lir.Let(temp, lir.Load(slot, index)) if self.plan.varies(index):
+                    if temp.number not in self.plan.skipped:
+                        root, offset = split(self.plan, index)
+                        found.setdefault((slot.number, root), []).append((offset, temp))
+                        slots[slot.number] = slot
+                case lir.If(_, then, orelse):
+                    self.find_rows(then)
+                    self.find_rows(orelse)
+                case _:
+                    pass
+        for (slot_number, root), loads in found.items():
+            self.plan.rows[loads[0][1].number] = RowLoad(slots[slot_number], root, tuple(loads))
+            self.plan.members |= {temp.number for _, temp in loads[1:]}
+
+
+def place_key(place: lir.Slot | lir.Var, index: lir.Value) -> PlaceKey:
+    """The key of a place."""
+    kind = "slot" if isinstance(place, lir.Slot) else "var"
+    return kind, place.number, index.number if isinstance(index, lir.Temp) else f"literal {index.value}"
+
+
+def _used(stmt: lir.Stmt) -> tuple[lir.Value, ...]:
+    """The values that ``stmt`` itself uses."""
+    match stmt:
+        case lir.Let(_, operation):
+            return operands(operation)
+        case lir.StoreVar(_, index, value) | lir.Store(_, index, value) | lir.Accumulate(_, index, _, value):
+            return (index, value)
+        case lir.If(condition, _, _):
+            return (condition,)
+        case lir.While(_, condition, _):
+            return (condition,)
+        case lir.For(_, start, stop, _):
+            return (start, stop)
+        case lir.Fail(_, position, payload):
+            return (position, *payload)
+        case lir.Print(_, _, position, values):
+            return (position, *values)
+        case _:
+            return ()
