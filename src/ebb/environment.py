@@ -11,9 +11,10 @@ import llvmlite.binding as llvm
 import numpy as np
 
 import ebb
-from ebb.backends.cache import cache_directory
+from ebb.backends.cache import cache_directory, cache_limit, cache_usage
 from ebb.backends.select import BACKENDS
 from ebb.errors import BackendError
+from ebb.relations.table import memory
 from ebb.runtime.threads import describe_threads, thread_count
 
 #: The widest vectors of a processor by the features that LLVM names, the widest first.
@@ -53,11 +54,14 @@ def _threads() -> str:
 
 
 def _cache() -> str:
-    folder = cache_directory()
-    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
-        return str(folder)
-    return f"{folder}, which cannot be written: set EBB_CACHE_DIR, or every run compiles its kernels again"
+    folder, limit = cache_directory(), cache_limit()
+    if not limit:
+        return "none: EBB_CACHE_SIZE is 0, so that every run compiles its kernels"
+    there = next((place for place in (folder, *folder.parents) if os.path.exists(place)), folder)
+    if not os.path.isdir(there) or not os.access(there, os.W_OK | os.X_OK):
+        return f"{folder}, which cannot be written: set EBB_CACHE_DIR, or every run compiles its kernels again"
+    kernels, taken = cache_usage(folder)
+    return f"{folder}: {kernels:,} kernel{'' if kernels == 1 else 's'}, {memory(taken)} of at most {memory(limit)}"
 
 
 def _backend(name: str) -> str:

@@ -33,7 +33,7 @@ def clamp(r: rows):
 
 @ebb.kernel
 def count(r: rows):
-    total += ebb.int64(r.y)  # noqa: F823, F841
+    total.value += ebb.int64(r.y)
 
 
 def main() -> None:

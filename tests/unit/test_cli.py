@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import ebb
 from ebb import cli
+from ebb.backends.cache import ObjectCache
 from ebb.diagnostics.explain import find_page, known_codes, nearest_codes
 
 
@@ -52,6 +53,24 @@ def test_info_says_what_there_is() -> None:
     rows = dict(line.split(maxsplit=1) for line in result.output.splitlines() if not line.startswith(" "))
     assert rows["ebb"].startswith(ebb.__version__)
     assert {"python", "numpy", "llvmlite", "llvm", "processor", "threads", "cache"} <= set(rows)
+
+
+def test_info_says_what_the_cache_holds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def described() -> str:
+        return next(
+            line for line in CliRunner().invoke(cli.app, ["info"]).output.splitlines() if line.startswith("cache")
+        )
+
+    monkeypatch.setenv("EBB_CACHE_DIR", str(tmp_path / "kernels"))
+    monkeypatch.setenv("EBB_CACHE_SIZE", "2")
+    assert described().endswith("kernels: 0 kernels, 0 B of at most 2.0 MiB")
+    ObjectCache(tmp_path / "kernels").put("1" * 64, bytes(1000))
+    assert described().endswith("kernels: 1 kernel, 1.0 KiB of at most 2.0 MiB")
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("EBB_CACHE_DIR", str(tmp_path / "file" / "kernels"))
+    assert "cannot be written" in described()
+    monkeypatch.setenv("EBB_CACHE_SIZE", "0")
+    assert "EBB_CACHE_SIZE is 0" in described()
 
 
 PROGRAM = """import sys

@@ -92,9 +92,9 @@ def key_of(*parts: str) -> str:
 
 
 def cache_usage(directory: Path) -> tuple[int, int]:
-    """How many kernels the folder keeps, and how many bytes they take; none where it cannot be read."""
-    sizes = [status.st_size for _, status in _files(directory)]
-    return len(sizes), sum(sizes)
+    """How many kernels the folder keeps, and how many bytes our files take; none where it cannot be read."""
+    files = [(path.endswith(".o"), status.st_size) for path, status in _files(directory)]
+    return sum(whole for whole, _ in files), sum(size for _, size in files)
 
 
 class ObjectCache:
