@@ -15,11 +15,12 @@ from ebb.compiler.arguments import uniform_values
 from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import ParameterType
 from ebb.compiler.inputs import Inputs
+from ebb.compiler.pace import pace_of
 from ebb.records import field, record
 from ebb.relations.field import Field
 from ebb.relations.layout import consider_layout
 from ebb.relations.ordering import consider_order
-from ebb.relations.reach import Reach
+from ebb.relations.reach import Pace, Reach
 from ebb.relations.subset import RowSet
 from ebb.runtime.epoch import structure
 from ebb.runtime.threads import launching
@@ -54,6 +55,10 @@ class Specialisation:
         """
         kernel = self.checked.kernel
         return uniform_values(kernel.name, kernel.uniforms, parameters)
+
+    def pace(self) -> Pace:
+        """How the kernel goes over its rows."""
+        return pace_of(self.checked.kernel)
 
     def refresh(self) -> None:
         """Makes the groupings that the kernel queries valid."""
@@ -124,7 +129,7 @@ class Launch:
         backend = current_backend()
         if backend.reorders:
             consider_order(self.rows, specialisation.reaches, self._runs)
-        consider_layout(self.rows, specialisation.reaches, self._runs)
+        consider_layout(self.rows, specialisation.reaches, specialisation.pace, self._runs)
         specialisation.refresh()
         for used in specialisation.used:
             used.check_no_view()

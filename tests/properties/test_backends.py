@@ -69,7 +69,8 @@ def test_no_layout_changes_anything(data):
             assume(False)
         expected = run_on(program, kernel, "cpu")
         for field, layout in zip(shaped, layouts, strict=True):
-            family_of(field).convert(layout)
+            family_of(field).layout = layout
+            family_of(field).convert(field)
         for backend in ("cpu", "reference"):
             found, codes = run_on(program, kernel, backend)
             assert codes == expected[1]

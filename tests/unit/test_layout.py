@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import ebb
+from ebb.compiler.elaborate.elaborate import elaborate
+from ebb.compiler.pace import pace_of
 from ebb.relations.family import family_of
 from ebb.relations.field import Field
 from ebb.relations.layout import LEAST_COMPONENTS, LEAST_ROWS, consider_layout
-from ebb.relations.reach import Reach
+from ebb.relations.reach import Pace, Reach
 from ebb.runtime.buffer import ALIGNMENT, Buffer, Layout, column_stride
 
 ROWS, COLUMNS = Layout.ROWS, Layout.COLUMNS
@@ -19,9 +21,15 @@ SHAPES = [(), (1,), (3,), (2, 3), (3, 3)]
 wide = ebb.vector(ebb.float32, LEAST_COMPONENTS)
 
 
-def in_columns(*fields: Field) -> None:
+def lay(layout: Layout, *fields: Field) -> None:
     for field in fields:
-        family_of(field).convert(COLUMNS)
+        family = family_of(field)
+        family.layout = layout
+        family.convert(field)
+
+
+def in_columns(*fields: Field) -> None:
+    lay(COLUMNS, *fields)
 
 
 def reach(field: Field, *through: Field, changed: bool = False, affine: bool = False, queried: bool = False) -> Reach:
@@ -184,8 +192,7 @@ def test_kernels_reach_every_component(backend: str, layout: Layout, values: np.
     rows.new_field("k", ebb.int32, init=np.arange(24) % 3)
     rows.new_field("x", ebb.float64)
     others.new_field("v", ebb.vec3d)
-    for field in (rows.to, rows.a, rows.b, others.v):
-        family_of(field).convert(layout)
+    lay(layout, rows.to, rows.a, rows.b, others.v)
 
     @ebb.kernel
     def program(r: rows):
@@ -225,7 +232,7 @@ def test_each_layout_has_code_of_its_own() -> None:
     assert double.inspect(rows, "lir") != text
     assert "columns of rows, 8 bytes an element" in double.inspect(rows, "lir")
     double(rows)
-    family_of(rows.a).convert(ROWS)
+    lay(ROWS, rows.a)
     assert double.inspect(rows, "lir") == text
     double(rows)
     assert np.array_equal(rows.a, np.full((100, 2), 8.0))
@@ -241,11 +248,11 @@ def relation(size: int = LEAST_ROWS) -> ebb.Relation:
     return rows
 
 
-def launch(rows: ebb.Relation | ebb.Subset, *reaches: Reach, runs: int = 8) -> list[Layout]:
+def launch(rows: ebb.Relation | ebb.Subset, *reaches: Reach, pace: Pace = Pace.VECTOR, runs: int = 8) -> list[Layout]:
     """The layout of the first field after each of the runs of one launch."""
     layouts: list[Layout] = []
     for run in range(runs):
-        consider_layout(rows, reaches, run)
+        consider_layout(rows, reaches, lambda: pace, run)
         layouts.append(reaches[0].field.buffer.layout)
     return layouts
 
@@ -272,7 +279,7 @@ def test_what_stays_in_rows() -> None:
 def test_fields_that_are_gathered_stay_in_rows() -> None:
     rows = relation()
     rows.new_field("to", rows)
-    launch(rows, reach(rows.a, rows.to), runs=5)
+    launch(rows, reach(rows.a, rows.to))
     assert launch(rows, reach(rows.a))[-1] is ROWS
 
 
@@ -309,11 +316,59 @@ def test_fields_go_back_to_rows_once_where_gathers_come_later() -> None:
     assert rows.a.buffer.layout is ROWS
 
 
-def test_kernels_that_do_not_vectorise_decide_nothing() -> None:
+def test_launches_that_wait_for_memory_decide_nothing() -> None:
     rows = relation()
+    assert launch(rows, reach(rows.a), pace=Pace.MEMORY)[-1] is ROWS
+    launch(rows, reach(rows.a))
+    assert launch(rows, reach(rows.a), pace=Pace.MEMORY)[-1] is COLUMNS
+
+
+def test_launches_that_go_row_after_row_lose() -> None:
+    rows = relation()
+    launch(rows, reach(rows.a), pace=Pace.SCALAR)
+    assert launch(rows, reach(rows.a))[-1] is ROWS
+
+
+def test_the_pace_of_kernels() -> None:
+    rows = ebb.Relation("rows", size=4)
     rows.new_field("to", rows)
-    rows.new_field("x", ebb.float64)
-    assert launch(rows, reach(rows.a), reach(rows.x, rows.to, changed=True))[-1] is ROWS
+    rows.new_field("a", ebb.mat3f)
+    rows.new_field("b", ebb.mat3f)
+    rows.new_field("x", ebb.float32)
+    total = ebb.Global(ebb.float32, 0.0)
+    n = 3
+
+    @ebb.kernel
+    def heavy(r: rows):
+        r.b = ebb.inverse(r.a) @ r.a
+        if r.x > 0:
+            r.b += r.a
+        total.value += ebb.det(r.a)
+
+    @ebb.kernel
+    def light(r: rows):
+        r.b = r.a
+
+    @ebb.kernel
+    def loops(r: rows):
+        for _ in range(n):
+            r.b = r.b @ r.a
+
+    @ebb.kernel
+    def scatters(r: rows):
+        r.to.b += ebb.inverse(r.a)
+
+    @ebb.kernel
+    def checks(r: rows):
+        assert ebb.det(r.a) > 0
+        r.b = ebb.inverse(r.a)
+
+    def pace(kernel: ebb.Kernel) -> Pace:
+        return pace_of(elaborate(kernel.source, rows, (), ()).kernel)
+
+    assert pace(heavy) is Pace.VECTOR
+    assert pace(light) is Pace.MEMORY
+    assert {pace(loops), pace(scatters), pace(checks)} == {Pace.SCALAR}
 
 
 def test_views_pin_the_layout() -> None:
@@ -325,12 +380,12 @@ def test_views_pin_the_layout() -> None:
 def test_fields_that_are_swapped_share_a_layout() -> None:
     rows = relation()
     rows.swap("a", "b")
-    launch(rows, reach(rows.a))
+    assert launch(rows, reach(rows.a))[-1] is COLUMNS
     assert rows.b.buffer.layout is COLUMNS
     late = rows.new_field("late", wide, init=3.0)
     rows.swap("a", "late")
     assert (rows.a.to_numpy() == 3).all()
-    consider_layout(rows, (reach(rows.a),), 8)
+    consider_layout(rows, (reach(rows.a),), lambda: Pace.VECTOR, 8)
     assert {rows.a.buffer.layout, rows.b.buffer.layout, late.buffer.layout} == {COLUMNS}
     assert (rows.a.to_numpy() == 3).all()
 
@@ -345,7 +400,7 @@ def test_launches_convert_and_go_on() -> None:
     @ebb.kernel
     def step(r: rows):
         r.F = turn @ r.F
-        r.x += r.F[0, 0]
+        r.x += ebb.det(r.F)
 
     layouts: list[Layout] = []
     for _ in range(9):

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Family:
-    """Fields that have exchanged their values, and what has been seen of how kernels reach them.
+    """Fields that have exchanged their values, and what has been seen of the kernels that reach them.
 
     A swap exchanges memory with its layout. If the members of a family lay in different layouts, each swap would call
     for other code.
@@ -19,18 +19,18 @@ class Family:
     Attributes:
         members: the fields, all of one relation and type.
         layout: in which the members are to lie.
-        streamed: how many rows launches have reached in the order in which they are stored.
-        gathered: how many rows they have reached through keys.
+        gaining: how many rows launches have gone over that would be quicker if the fields lay in columns.
+        losing: how many rows they have reached that would take longer.
         conversions: how often the layout has been changed.
     """
 
-    __slots__ = ("conversions", "gathered", "layout", "members", "streamed")
+    __slots__ = ("conversions", "gaining", "layout", "losing", "members")
 
     def __init__(self, first: Field) -> None:
         self.members = [first]
         self.layout: Layout = first.buffer.layout
-        self.streamed = 0
-        self.gathered = 0
+        self.gaining = 0
+        self.losing = 0
         self.conversions = 0
 
     def absorb(self, other: Family) -> None:
@@ -38,18 +38,17 @@ class Family:
         for member in other.members:
             member.family = self
         self.members += other.members
-        self.streamed += other.streamed
-        self.gathered += other.gathered
+        self.gaining += other.gaining
+        self.losing += other.losing
         self.conversions = max(self.conversions, other.conversions)
         if other.layout is Layout.COLUMNS:
             self.layout = Layout.COLUMNS
 
-    def convert(self, layout: Layout) -> None:
-        """Brings each member into ``layout``, one after the other, so that little more memory is held meanwhile."""
-        self.layout = layout
-        for member in self.members:
-            if member.buffer.layout is not layout:
-                member.replace(member.buffer.in_layout(layout))
+    def convert(self, *members: Field) -> None:
+        """Brings ``members`` into the layout, one after the other, so that little more memory is held meanwhile."""
+        for member in members:
+            if member.buffer.layout is not self.layout:
+                member.replace(member.buffer.in_layout(self.layout))
 
 
 def family_of(field: Field) -> Family:
@@ -60,7 +59,9 @@ def family_of(field: Field) -> Family:
 
 
 def join(left: Field, right: Field) -> None:
-    """Makes ``left`` and ``right`` members of one family."""
+    """Makes ``left`` and ``right``, which are to be swapped, members of one family, and brings them into its layout."""
     family, other = family_of(left), family_of(right)
     if family is not other:
         family.absorb(other)
+    if left.buffer.layout is not right.buffer.layout:
+        family.convert(left, right)

@@ -197,14 +197,17 @@ class Field:
         structure_changed()
 
     def swap_with(self, other: Field) -> None:
-        """Exchanges the values with those of a field of the same relation and type, in constant time."""
+        """Exchanges the values with those of a field of the same relation and type.
+
+        That takes constant time, but for the first time where one of the two lies in columns.
+        """
+        if self.type.shape:
+            join(self, other)
         self.buffer, other.buffer = other.buffer, self.buffer
         self._unset, other._unset = other._unset, self._unset
         self.version += 1
         other.version += 1
-        if self.type.shape:
-            join(self, other)
-        if self.holds_keys or self.buffer.layout is not other.buffer.layout:
+        if self.holds_keys:
             structure_changed()
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:

@@ -1,22 +1,26 @@
-"""The layout of vector and matrix fields, chosen by how kernels reach them.
+"""The layout of vector and matrix fields, chosen by the kernels that reach them.
 
-A kernel that goes over rows as they are stored, through the own row or at affine offsets, works on some 4 to 16 rows at
-once if it can load one component of consecutive rows. Where the components of a row lie together, LLVM loads and
-shuffles them, at a price that grows with their number: none to be seen for up to four components, half of the time
-from some six on, and from nine on it goes through memory element by element. In columns there is no such price. A
-kernel that goes through keys wants the components of a row together: they are one or two lines of the cache, and in
-columns one line each.
+LLVM computes 4 to 16 consecutive rows of a straight-line kernel at once. It then needs vectors of one component of
+consecutive rows. In columns that is a load; where the components of a row lie together it is loads and shuffles, at a
+price that grows with the number of components. Measured on Zen 4, for kernels with arithmetic enough that memory is
+not all that counts: hardly any up to four components, 1.5 times the time at five and six, 1.5 to 4 times at nine. For
+kernels that wait for memory the two are alike; columns may be slower, since each is a stream of its own.
 
-So wide fields that are only streamed lie in columns, all others in rows. Keys stay in rows: what takes the time are the
-rows that they lead to. The decision follows from the launches alone, never from time measured, and it costs a second
-compilation of the kernels that reach the field, so that it waits until a launch has come back some times.
+All others want the components of a row together: kernels that go through keys, which in columns would fetch a line of
+the cache for each component, and kernels with loops, where LLVM makes vectors of the components of one row.
+
+So wide fields lie in columns where launches gain by it that do not lose elsewhere. Keys stay in rows: what takes the
+time are the rows that they lead to. The decision follows from the launches alone, never from time measured. It costs
+a second compilation of the kernels that reach the field, so it waits until a launch has come back some times.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ebb.relations.family import Family, family_of
 from ebb.relations.field import Field
-from ebb.relations.reach import Reach
+from ebb.relations.reach import Pace, Reach
 from ebb.relations.subset import RowSet
 from ebb.runtime.buffer import Layout
 
@@ -32,14 +36,14 @@ COUNTED_RUNS = range(2, 8)
 DECIDING_RUN = 5
 """From this run of a launch on, counted from 0, the layout of what it reaches is decided."""
 
-GATHER_WEIGHT = 4
-"""A row that is reached through a key loses about that many times what a row that is streamed gains."""
+LOSS = 2
+"""How much more a row loses by columns that is none for them than one gains that is."""
 
 MOST_CONVERSIONS = 2
-"""To columns, and back if what comes later goes through keys."""
+"""To columns, and back if those that lose come later."""
 
 
-def consider_layout(rows: RowSet, reaches: tuple[Reach, ...], run: int) -> None:
+def consider_layout(rows: RowSet, reaches: tuple[Reach, ...], pace: Callable[[], Pace], run: int) -> None:
     """May convert fields to another layout. The caller holds ``launching()``.
 
     Called after the storage order has been considered, and before the launch takes any data or index.
@@ -47,6 +51,7 @@ def consider_layout(rows: RowSet, reaches: tuple[Reach, ...], run: int) -> None:
     Args:
         rows: what the kernel runs on.
         reaches: how it reaches each field that it uses.
+        pace: tells how it goes over its rows.
         run: how many times the launch has run before.
     """
     for reach in reaches:
@@ -54,24 +59,25 @@ def consider_layout(rows: RowSet, reaches: tuple[Reach, ...], run: int) -> None:
             continue
         family = family_of(reach.field)
         if run in COUNTED_RUNS:
-            _count(rows, reaches, reach, family)
+            _count(rows, reach, pace(), family)
         if run >= DECIDING_RUN:
             _decide(family)
-        family.convert(family.layout)
+        family.convert(*family.members)
 
 
 def _is_wide(field: Field) -> bool:
     return field.type.size >= LEAST_COMPONENTS and not field.holds_keys and field.relation.size >= LEAST_ROWS
 
 
-def _count(rows: RowSet, reaches: tuple[Reach, ...], reach: Reach, family: Family) -> None:
+def _count(rows: RowSet, reach: Reach, pace: Pace, family: Family) -> None:
     """Notes one launch."""
+    is_list = rows.boxes is None and rows.row_positions() is not None
     if reach.keyed:
-        family.gathered += _rows_through(rows, reach.through)
-    elif rows.boxes is None and rows.row_positions() is not None:
-        family.gathered += rows.size
-    elif not any(other.queried or (other.keyed and other.changed) for other in reaches):
-        family.streamed += rows.size  # else one row after the other is computed, and either layout will do
+        family.losing += _rows_through(rows, reach.through)
+    elif is_list or pace is Pace.SCALAR:
+        family.losing += rows.size
+    elif pace is Pace.VECTOR:
+        family.gaining += rows.size
 
 
 def _rows_through(rows: RowSet, through: tuple[Field, ...]) -> int:
@@ -81,7 +87,7 @@ def _rows_through(rows: RowSet, through: tuple[Field, ...]) -> int:
 
 
 def _decide(family: Family) -> None:
-    pays = family.streamed > 0 and GATHER_WEIGHT * family.gathered <= family.streamed
+    pays = family.gaining > 0 and LOSS * family.losing <= family.gaining
     layout = Layout.COLUMNS if pays else Layout.ROWS
     if layout is not family.layout and family.conversions < MOST_CONVERSIONS:
         family.conversions += 1

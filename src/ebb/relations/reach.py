@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
+from enum import Enum
+
 from ebb.records import record
 from ebb.relations.field import Field
+
+
+class Pace(Enum):
+    """How a kernel goes over its rows."""
+
+    VECTOR = "several rows at once"
+    """Straight-line code with some arithmetic for each byte: it takes less time where vector registers fill easily."""
+
+    MEMORY = "as fast as memory comes"
+    """Straight-line code with little arithmetic."""
+
+    SCALAR = "row after row"
+    """Code with loops or checks, or that changes other rows."""
 
 
 @record

@@ -1,0 +1,27 @@
+"""How a kernel goes over its rows: whether LLVM makes code of it that computes several at once, and what that gains."""
+
+from __future__ import annotations
+
+from ebb.compiler import kir
+from ebb.compiler.cost import cost_of
+from ebb.compiler.kir_walk import statements
+from ebb.compiler.phases.centered import find_centered
+from ebb.relations.reach import Pace
+
+OPERATIONS_A_BYTE = 0.3
+"""From how many operations on a byte on the time goes into arithmetic, not into waiting for memory."""
+
+
+def pace_of(kernel: kir.Kernel) -> Pace:
+    """How ``kernel`` goes over its rows."""
+    centered = find_centered(kernel)
+    for stmt in statements(kernel.body):
+        match stmt:
+            case kir.WriteField() | kir.Assign() | kir.If() | kir.ReduceGlobal() | kir.Breakpoint():
+                pass
+            case kir.ReduceField(key=key) if centered.is_centered(key):
+                pass
+            case _:
+                return Pace.SCALAR
+    cost = cost_of(kernel)
+    return Pace.VECTOR if cost.operations >= OPERATIONS_A_BYTE * cost.bytes else Pace.MEMORY
