@@ -25,7 +25,6 @@ from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
 from ebb.compiler.elaborate.source import SourceFunction, find_source
-from ebb.compiler.explain import explain
 from ebb.compiler.inputs import Inputs
 from ebb.compiler.launch_errors import ArgumentCount, ArgumentType, NotRows, RowsMismatch, UnknownStage
 from ebb.compiler.phases.check import check_phases
@@ -117,6 +116,8 @@ class Kernel:
         Raises:
             EbbError: as ``check``.
         """
+        from ebb.compiler.explain import explain  # here: few programs ask for it
+
         launch = self._find_launch(rows, self._bind(rows, parameters, named))
         checked = launch.specialisation.checked
         how = launch.how()

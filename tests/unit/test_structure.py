@@ -38,6 +38,20 @@ IN_ROOM = {"errors": "diagnostics", "launch": "kernel"}
 # Not needed to run a program: the command line's packages, and those of the extras.
 LATE = ("rich", "typer", "scipy", "meshio", "pyvista", "pymeshfix", "matplotlib")
 
+# Only needed on errors, to compile what is not in the cache, or by another backend.
+SLOW = (
+    "numpy.ma",
+    "concurrent.futures",
+    "difflib",
+    "hashlib",
+    "logging",
+    "subprocess",
+    "ebb.backends.llvm.emit",
+    "ebb.backends.reference",
+    "ebb.compiler.explain",
+    "ebb.diagnostics.render",
+)
+
 
 def room_of(module: str) -> str:
     """The room of a module of the package, ``ebb.types.rules`` -> ``types``."""
@@ -169,3 +183,24 @@ def test_import_brings_in_nothing_that_a_program_may_not_need() -> None:
     check = f"import sys, ebb, ebb.domains; print([name for name in {LATE!r} if name in sys.modules])"
     found = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_import_ebb_is_quick() -> None:
+    """What takes long to import, and is only needed by some, comes when it is."""
+    check = (
+        "import sys, numpy, llvmlite.binding; before = set(sys.modules); import ebb\n"
+        f"print([name for name in {SLOW!r} if name in set(sys.modules) - before])"
+    )
+    found = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_records_are_no_dataclasses() -> None:
+    """Those take thirty times as long to make: see ``ebb/records.py``."""
+    wrong = [
+        f"{path}:{line}"
+        for path, tree in TREES.items()
+        for line, name in imports(tree)
+        if name.startswith("dataclasses")
+    ]
+    assert wrong == []

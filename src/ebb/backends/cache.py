@@ -14,7 +14,6 @@ is compiled again by the next process.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import stat
@@ -24,6 +23,11 @@ import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+
+try:  # what hashlib has, without OpenSSL, which takes 2 ms to load
+    from _blake2 import blake2b
+except ImportError:
+    from hashlib import blake2b
 
 _FOLDER_VARIABLE = "EBB_CACHE_DIR"
 _LIMIT_VARIABLE = "EBB_CACHE_SIZE"
@@ -35,7 +39,7 @@ DEFAULT_LIMIT = 512 * _MEBIBYTE
 _LARGEST_FILE = 64 * _MEBIBYTE
 """A kernel takes some kilobytes. What is larger than this is none of ours, and is not read into memory."""
 
-_CHECKSUM_BYTES = hashlib.sha256().digest_size
+_CHECKSUM_BYTES = 32
 
 _OURS = re.compile(r"[0-9a-f]{64}\.(?:o|[0-9a-f]{16}\.part)")
 """The names of our files. No other file is ever removed, should the folder hold any."""
@@ -84,7 +88,7 @@ def cache_limit() -> int:
 
 def key_of(*parts: str) -> str:
     """The name under which code that depends on ``parts`` is kept."""
-    digest = hashlib.sha256()
+    digest = blake2b(digest_size=_CHECKSUM_BYTES)
     for part in parts:
         digest.update(f"{len(part)}:".encode())
         digest.update(part.encode())
@@ -197,7 +201,7 @@ def _remove(path: str) -> None:
 
 
 def _checksum(key: str, image: bytes) -> bytes:
-    digest = hashlib.sha256(key.encode())
+    digest = blake2b(key.encode(), digest_size=_CHECKSUM_BYTES)
     digest.update(image)
     return digest.digest()
 

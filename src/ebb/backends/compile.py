@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import time
 from functools import cache
@@ -12,15 +11,13 @@ import ebb.backends.llvm as emitter
 from ebb.backends.cache import ObjectCache, key_of
 from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify
-from ebb.compiler.pipeline import dump
+from ebb.compiler.pipeline import dump, log_time
 from ebb.errors import BackendError
 from ebb.runtime import cpu
 from ebb.runtime.errors import VariablesTooLarge
 
 MOST_PRIVATE_BYTES = 1 << 20
 """The most memory that a row's variables may take: threads have stacks of two megabytes and more."""
-
-_log = logging.getLogger("ebb.compiler")
 
 
 def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> bytes:
@@ -40,7 +37,7 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
         module = _module(program, target)
         dump(program.name, "optimize", lambda: str(module))
         image = bytes(target.machine.emit_object(module))
-        _log.debug("%s: compiling took %.2f ms", program.name, 1e3 * (time.perf_counter() - start))
+        log_time(program.name, "compiling", start)
         cache.put(key, image)
     return image
 

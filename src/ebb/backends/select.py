@@ -9,16 +9,22 @@ from typing import Any
 
 from ebb.backends.backend import Backend
 from ebb.backends.cpu import cpu_backend
-from ebb.backends.reference import reference_backend
 from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
 
+
+def _reference_backend() -> Backend:
+    from ebb.backends.reference import reference_backend  # here: few programs run on it
+
+    return reference_backend()
+
+
 #: How to make each backend, and the options that it takes.
 BACKENDS: Mapping[str, tuple[Callable[..., Backend], tuple[str, ...]]] = {
     "cpu": (cpu_backend, ("threads", "reorder")),
-    "reference": (reference_backend, ()),
+    "reference": (_reference_backend, ()),
 }
 
 

@@ -8,7 +8,6 @@ elaboration and each pass that changes something, ``EBB_DUMP=step,move`` only fo
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 import time
@@ -27,8 +26,6 @@ Pass: TypeAlias = Callable[[kir.Kernel], kir.Kernel]
 
 PASSES: tuple[Pass, ...] = (fold_constants, prune_branches, flatten_blocks, simplify_powers)
 
-_log = logging.getLogger("ebb.compiler")
-
 
 def run_passes(kernel: kir.Kernel, passes: Sequence[Pass] = PASSES) -> kir.Kernel:
     """``kernel`` after ``passes``.
@@ -42,7 +39,7 @@ def run_passes(kernel: kir.Kernel, passes: Sequence[Pass] = PASSES) -> kir.Kerne
         start = time.perf_counter()
         changed = run_pass(kernel)
         name = run_pass.__name__
-        _log.debug("%s: %s took %.2f ms", kernel.name, name, 1e3 * (time.perf_counter() - start))
+        log_time(kernel.name, name, start)
         if changed is not kernel and changed.body is not kernel.body:
             _verify(changed, name)
             dump(kernel.name, name, partial(kir_print.text, changed))
@@ -55,6 +52,15 @@ def _verify(kernel: kir.Kernel, stage: str) -> None:
         verify_kernel(kernel)
     except CompilerBug as bug:
         raise CompilerBug(f"kernel {kernel.name!r} after {stage}: {bug}") from bug
+
+
+def log_time(kernel: str, stage: str, start: float) -> None:
+    """Logs how long ``stage`` of ``kernel`` took, which began at ``start`` of ``time.perf_counter``."""
+    if "logging" in sys.modules:  # else nobody can have asked for it, and the import takes 2 ms
+        import logging
+
+        milliseconds = 1e3 * (time.perf_counter() - start)
+        logging.getLogger("ebb.compiler").debug("%s: %s took %.2f ms", kernel, stage, milliseconds)
 
 
 def dump(kernel: str, stage: str, text: Callable[[], str]) -> None:
