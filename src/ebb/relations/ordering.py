@@ -12,6 +12,7 @@ What is decided depends on the keys alone, never on time measured or on threads,
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,9 @@ GAIN = 2.0
 
 FIRST_RUN = 2
 """The runs of a launch before its keys are looked at: a program that runs a kernel once or twice pays nothing."""
+
+INSISTENT = 8
+"""The patience up to which launches come here again and again. Keys that have changed more often are left alone."""
 
 
 @record
@@ -95,7 +99,9 @@ class Route:
         return Placed(self.target.size, self.width)
 
 
-def consider_order(rows: RowSet, reaches: tuple[Reach, ...], run: int) -> None:
+def consider_order(
+    rows: RowSet, reaches: tuple[Reach, ...], run: int, changing: AbstractSet[Field] = frozenset()
+) -> None:
     """May permute relations so that what a kernel reaches lies close together. The caller holds ``launching()``.
 
     Called before a launch takes any data or index: at each of the first runs of a launch, and whenever the structure
@@ -105,10 +111,11 @@ def consider_order(rows: RowSet, reaches: tuple[Reach, ...], run: int) -> None:
         rows: what the kernel runs on.
         reaches: how it reaches each field that it uses.
         run: how many times the launch has run before.
+        changing: key fields that will be changed before it comes here again.
     """
     if 2 * rows.size < rows.relation.size:
         return
-    changed = {reach.field for reach in reaches if reach.changed}
+    changed = {reach.field for reach in reaches if reach.changed} | changing
     for route in _routes(reaches):
         if route.target.size * route.width > CACHED and route.source.size and changed.isdisjoint(route.keys):
             _look(route, run)
@@ -158,7 +165,8 @@ def _look(route: Route, run: int) -> None:
     if not pending:
         return
     if run < FIRST_RUN or not all([watch.calm >= watch.patience for watch in watches]):
-        structure_changed()  # so that the next run of the launch, if none of its first, comes here too
+        if all([watch.patience <= INSISTENT for watch in watches]):
+            structure_changed()  # so that the next run of the launch, if none of its first, comes here too
         return
     for watch in watches:
         watch.width = route.width
