@@ -18,8 +18,11 @@ WIDTH = 8
 WAVE_BLOCKS = 3.0
 """What it costs to start a wave, in blocks of rows that a thread runs meanwhile."""
 
+COLOUR = 0.08
+"""How much longer all rows take for each colour above two: each wave goes through the memory of all targets again."""
+
 _MOST_COLOURS = 64
-_GOOD = 0.8
+_GOOD = 0.75
 _FIRST_CHUNKS = 2 * WIDTH
 """How many chunks the largest ones tried leave, about: fewer than that and threads stand idle in each wave."""
 
@@ -59,14 +62,15 @@ def in_order(blocks: int) -> Waves:
 
 
 def efficiency(waves: Waves, width: int = WIDTH) -> float:
-    """How much of ``width`` threads is used, 1 at best: by the longest share of each wave and the cost of the waves."""
+    """How much of ``width`` threads is used, 1 at best: by the longest share of each wave and what the waves cost."""
     lengths = waves.items[:, 1] - waves.items[:, 0]
     reached = np.concatenate(([0], np.cumsum(lengths)))
     time = 0.0
     for first, last in zip(waves.starts[:-1], waves.starts[1:], strict=True):
         shares = first + (last - first) * np.arange(width + 1) // width
         time += float(np.diff(reached[shares]).max(initial=0)) + WAVE_BLOCKS
-    return float(reached[-1]) / (width * time) if time else 0.0
+    slower = 1 + COLOUR * max(0, len(waves.sizes) - 2)
+    return float(reached[-1]) / (width * time * slower) if time else 0.0
 
 
 def colour(places: Sequence[Touched], starts: Array) -> Waves | None:
