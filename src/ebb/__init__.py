@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ebb.backends.select import backend, set_backend
+from ebb.capture import capture
 from ebb.compiler.elaborate.intrinsics import affine, where
 from ebb.errors import (
     BackendError,
@@ -157,6 +158,7 @@ __all__ = [
     "atan2",
     "backend",
     "bool_",
+    "capture",
     "cbrt",
     "ceil",
     "clamp",

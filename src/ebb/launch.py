@@ -7,6 +7,7 @@ uniforms and runs what is bound. Otherwise it settles first, which may take its 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 from ebb.backends.backend import Backend, Bound, CheckedKernel, Executable, How
@@ -23,6 +24,7 @@ from ebb.relations.ordering import consider_order
 from ebb.relations.reach import Pace, Reach
 from ebb.relations.subset import RowSet
 from ebb.runtime.epoch import structure
+from ebb.runtime.recording import anyone_records, recorder, suspended
 from ebb.runtime.threads import launching
 
 SETTLING_RUNS = 8
@@ -101,14 +103,37 @@ class Launch:
         with launching():
             bound = self._bound
             if bound is None or self._epoch is not structure.epoch:
-                bound = self.settle()
+                bound = self._settle_or_record(uniforms)
+                if bound is None:
+                    return
             try:
                 bound.run(uniforms)
             finally:
-                for values in self._written_values:
-                    values.version += 1
-                for keys in self._written_keys:
-                    keys.changed()
+                self.note_changes()
+
+    @property
+    def bound(self) -> Bound:
+        """What ``settle`` has bound."""
+        assert self._bound is not None, "the launch has been settled"
+        return self._bound
+
+    def note_changes(self) -> None:
+        """Says that the kernel has written its fields."""
+        for values in self._written_values:
+            values.version += 1
+        for keys in self._written_keys:
+            keys.changed()
+
+    def _settle_or_record(self, uniforms: Sequence[Any]) -> Bound | None:
+        """What to run, or None where the launch was taken down for a step instead."""
+        by = recorder()
+        if by is None:
+            return self.settle()
+        with suspended():
+            self.settle()
+        self._epoch = None  # the next launch comes here too
+        by.record_launch(self, uniforms)
+        return None
 
     def how(self) -> How:
         """How the launch goes on the current backend, for the data as it is."""
@@ -116,8 +141,16 @@ class Launch:
             self.specialisation.refresh()
             return self.specialisation.executable(current_backend()).how(self.rows)
 
-    def settle(self) -> Bound:
+    @property
+    def is_decided(self) -> bool:
+        """Whether the first runs are over, in which the storage order and the layout are decided."""
+        return self._runs >= SETTLING_RUNS
+
+    def settle(self, changing: AbstractSet[Field] = frozenset()) -> Bound:
         """Looks at all that the launch relies on besides values, and binds the code to it. Holds ``launching()``.
+
+        Args:
+            changing: key fields whose values may be others when the code runs; the kernel queries none of them.
 
         Raises:
             RelationError: a writable view of a field that the kernel uses is open.
@@ -128,13 +161,14 @@ class Launch:
         specialisation = self.specialisation
         backend = current_backend()
         if backend.reorders:
-            consider_order(self.rows, specialisation.reaches, self._runs)
+            consider_order(self.rows, specialisation.reaches, self._runs, changing)
         consider_layout(self.rows, specialisation.reaches, specialisation.pace, self._runs)
         specialisation.refresh()
         for used in specialisation.used:
             used.check_no_view()
-        bound = specialisation.executable(backend).bind(self.rows)
+        bound = specialisation.executable(backend).bind(self.rows, changing)
         self._runs += 1
         self._bound = bound
-        self._epoch = epoch if self._runs >= SETTLING_RUNS else None
+        fast = self.is_decided and not changing and not anyone_records()
+        self._epoch = epoch if fast else None
         return bound

@@ -34,7 +34,7 @@ ROOMS = (
     "environment",
     "cli",
 )
-IN_ROOM = {"errors": "diagnostics", "launch": "kernel"}
+IN_ROOM = {"capture": "kernel", "errors": "diagnostics", "launch": "kernel"}
 # Not needed to run a program: the command line's packages, and those of the extras.
 LATE = ("rich", "typer", "scipy", "meshio", "pyvista", "pymeshfix", "matplotlib")
 

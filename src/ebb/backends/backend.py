@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Set as AbstractSet
+from typing import Any, Protocol, TypeAlias
 
 from ebb.compiler import kir
 from ebb.compiler.phases.stencil import Access
 from ebb.compiler.phases.table import PhaseTable
 from ebb.records import record
+from ebb.relations.field import Field
+from ebb.relations.globals import Global
 from ebb.relations.subset import RowSet
+from ebb.runtime.buffer import Array
 
 
 @record
@@ -66,13 +70,57 @@ class Bound(Protocol):
         ...
 
 
+@record(eq=False)
+class RunKernel:
+    """A captured launch: what is bound, and the values of its uniforms."""
+
+    bound: Bound
+    uniforms: tuple[Any, ...]
+
+
+@record(eq=False)
+class SwapFields:
+    """Two fields of one relation and type exchange their values."""
+
+    left: Field
+    right: Field
+
+
+@record(eq=False)
+class SetGlobal:
+    """A global gets a value, an array of its type and shape."""
+
+    globl: Global
+    value: Array
+
+
+Operation: TypeAlias = RunKernel | SwapFields | SetGlobal
+"""What a captured step consists of."""
+
+
+class Replay(Protocol):
+    """A captured step as a program."""
+
+    def run(self, count: int) -> None:
+        """Runs the step ``count`` times and waits for it. The caller holds ``launching()``.
+
+        Raises:
+            EbbError: an assertion or a check of a kernel failed for some row; what comes after it has not run.
+        """
+        ...
+
+
 class Executable(Protocol):
     """A kernel made ready to run on one backend."""
 
-    def bind(self, rows: RowSet) -> Bound:
+    def bind(self, rows: RowSet, changing: AbstractSet[Field] = frozenset()) -> Bound:
         """The kernel on ``rows``, for the data as it is: good until ``structure_changed`` is next called.
 
         The groupings that the kernel queries are valid. The caller holds ``launching()``.
+
+        Args:
+            rows: the kernel's relation or a subset of it.
+            changing: key fields whose values may be others when the kernel runs; it queries none of them.
 
         Raises:
             BackendError: the kernel cannot be compiled.
@@ -108,4 +156,12 @@ class Backend(Protocol):
 
     def prepare(self, checked: CheckedKernel) -> Executable:
         """Makes ``checked`` ready to run here; what can be compiled later may be."""
+        ...
+
+    def replay(self, operations: Sequence[Operation]) -> Replay | None:
+        """Captured operations as a program that runs without Python, or None where there is no such thing here.
+
+        Swapped fields have the same layout, and what is bound stays good while the program runs. It is good until
+        ``structure_changed`` is next called.
+        """
         ...

@@ -19,6 +19,7 @@ from ebb.compiler import kir, lir
 from ebb.compiler.cost import cost_of
 from ebb.compiler.lower import error_at
 from ebb.compiler.scatter.waves import Waves
+from ebb.errors import EbbError
 from ebb.relations.field import Field
 from ebb.relations.grouping import Grouping
 from ebb.relations.subset import RowSet
@@ -44,14 +45,19 @@ _MANY_ROWS = 1 << 20
 
 
 class Binding:
-    """A program, its code, and the argument block for launches on one set of rows."""
+    """A program, its code, and the argument block for launches on one set of rows.
+
+    Attributes:
+        code: the machine code.
+        random_words: the words of the argument block that make launches draw other numbers, for kernels that draw.
+    """
 
     def __init__(
         self, kernel: kir.Kernel, program: lir.Program, code: CpuCode, device: CpuDevice, rows: RowSet
     ) -> None:
         self._kernel = kernel
         self._program = program
-        self._code = code
+        self.code = code
         self._device = device
         self._layout = layout_of(program)
         self._block = ArgumentBlock(self._layout.words, device.threads)
@@ -67,7 +73,7 @@ class Binding:
         self._arrays: list[Array] = []
         self._numbers: list[tuple[memoryview[Any], int, int]] = []
         self._components: list[tuple[memoryview[Any], int, int, int]] = []
-        self._random_words: dict[lir.RandomWord, int] = {}
+        self.random_words: dict[lir.RandomWord, int] = {}
         self._prints: PrintBuffer | None = None
         self._kept: list[Array] = []
         for slot in program.slots:
@@ -103,26 +109,65 @@ class Binding:
         addresses = [buffer.address for buffer in held]
         if addresses != self._addresses:
             self._place_fields(addresses)
-        for view, place, uniform in self._numbers:
-            view[place] = uniforms[uniform]
-        for view, place, uniform, component in self._components:
-            view[place] = uniforms[uniform].flat[component]
-        if self._random_words:
-            self._draw_key()
+        self._place_uniforms(uniforms)
+        if self.random_words:
+            self.place_key(self._block.words, random.next_launch())
         try:
             if self._alone:
-                failed = self._code.launch(self._block.address)
+                failed = self.code.launch(self._block.address)
             else:
-                failed = self._device.launch(self._code, self._block, self._shares)
-            failure = self._block.take_failure() if failed else None
+                failed = self._device.launch(self.code, self._block, self._shares)
+            failure = self.take_failure() if failed else None
         except BaseException:  # an interrupt: the failure of this launch is none of the next
-            self._block.failures.fill(0)
+            self.forget_failures()
             raise
         if self._prints is not None:
             self._prints.flush()
         if failure is not None:
-            site, position, payload = failure
-            raise error_at(self._program.sites[site], self._kernel, position, payload)
+            raise failure
+
+    # ---- For captured steps ----
+
+    @property
+    def field_words(self) -> list[tuple[int, Field]]:
+        """The words of the argument block that are addresses of fields, and whose."""
+        return list(zip(self._field_words, self._fields, strict=True))
+
+    def copy_block(self, uniforms: Sequence[Any]) -> tuple[Array, object]:
+        """The words of the argument block with these values of the uniforms, and what to hold while they are in use."""
+        self._place_uniforms(uniforms)
+        words = aligned_zeros(self._block.words.shape, self._block.words.dtype)
+        words[:] = self._block.words
+        return words, (self._waves, self._starts, self._arrays)
+
+    def threads(self) -> int:
+        """How many threads a launch gets now."""
+        return 1 if self._alone else self._device.threads_for(self._shares)
+
+    def place_key(self, words: Array, key: random.LaunchKey) -> None:
+        """Puts what makes the random numbers of a launch its own into the words of an argument block."""
+        values = {
+            lir.RandomWord.SEED_LOW: key.seed & 0xFFFFFFFF,
+            lir.RandomWord.SEED_HIGH: key.seed >> 32,
+            lir.RandomWord.LAUNCH: key.launch,
+        }
+        for name, word in self.random_words.items():
+            words[word] = values[name]
+
+    def take_failure(self) -> EbbError:
+        """The error of the row that failed first in the launch that has just failed; the records are cleared."""
+        site, position, payload = self._block.take_failure()
+        return error_at(self._program.sites[site], self._kernel, position, payload)
+
+    def forget_failures(self) -> None:
+        """Clears the records of rows that have failed."""
+        self._block.failures.fill(0)
+
+    def _place_uniforms(self, uniforms: Sequence[Any]) -> None:
+        for view, place, uniform in self._numbers:
+            view[place] = uniforms[uniform]
+        for view, place, uniform, component in self._components:
+            view[place] = uniforms[uniform].flat[component]
 
     def _place_fields(self, addresses: list[int]) -> None:
         words = self._block.numbers
@@ -207,7 +252,7 @@ class Binding:
             case lir.BlockCount():
                 self._block.words[word] = self._blocks
             case lir.RandomWord():
-                self._random_words[argument.binding] = word
+                self.random_words[argument.binding] = word
             case lir.UniformComponent(uniform, component):
                 view = self._block.views[_VIEWS[argument.type.kind, argument.type.bits]]
                 place = word * (8 // view.itemsize)
@@ -215,16 +260,6 @@ class Binding:
                     self._components.append((view, place, uniform, component))
                 else:
                     self._numbers.append((view, place, uniform))
-
-    def _draw_key(self) -> None:
-        key = random.next_launch()
-        values = {
-            lir.RandomWord.SEED_LOW: key.seed & 0xFFFFFFFF,
-            lir.RandomWord.SEED_HIGH: key.seed >> 32,
-            lir.RandomWord.LAUNCH: key.launch,
-        }
-        for name, word in self._random_words.items():
-            self._block.words[word] = values[name]
 
 
 def _grouping(index: Field) -> Grouping:

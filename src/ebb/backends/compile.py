@@ -13,7 +13,7 @@ from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify
 from ebb.compiler.pipeline import dump, log_time
 from ebb.errors import BackendError
-from ebb.runtime import cpu
+from ebb.runtime import cpu, replay
 from ebb.runtime.errors import VariablesTooLarge
 
 MOST_PRIVATE_BYTES = 1 << 20
@@ -38,6 +38,19 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
         dump(program.name, "optimize", lambda: str(module))
         image = bytes(target.machine.emit_object(module))
         log_time(program.name, "compiling", start)
+        cache.put(key, image)
+    return image
+
+
+def replay_code(target: Target, cache: ObjectCache) -> bytes:
+    """The object code that replays captured steps: from ``cache``, or compiled and put there."""
+    key = key_of("replay", target.fingerprint, _emitter_version())
+    image = cache.get(key)
+    if image is None:
+        from ebb.backends.llvm.optimize import optimize
+        from ebb.backends.llvm.replay import replay_module
+
+        image = bytes(target.machine.emit_object(optimize(replay_module(), target)))
         cache.put(key, image)
     return image
 
@@ -73,7 +86,7 @@ def _emitter_version() -> str:
     """A hash of the sources that make LLVM IR of LIR, so that code of another version is never taken for ours."""
     folder = next(iter(emitter.__path__))
     sources = sorted(os.path.join(folder, name) for name in os.listdir(folder) if name.endswith(".py"))
-    sources += [str(module.__file__) for module in (lir, cpu)]
+    sources += [str(module.__file__) for module in (lir, cpu, replay)]
     return key_of(*map(_text, sources))
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from ebb.backends.backend import Bound, CheckedKernel, How
+from ebb.backends.backend import Bound, CheckedKernel, How, Operation
 from ebb.backends.cache import ObjectCache, cache_directory
-from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text
-from ebb.backends.kernel_code import Bindings, KernelCode, launched_as
+from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, replay_code
+from ebb.backends.kernel_code import Bindings, KernelCode, NoRows, launched_as
+from ebb.backends.replay import Replay
 from ebb.backends.target import Target, host
 from ebb.backends.tiles import block_starts
 from ebb.compiler import lir, lir_print
@@ -22,12 +23,12 @@ from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.waves import in_order
 from ebb.errors import BackendError
 from ebb.records import record
+from ebb.relations.field import Field
 from ebb.relations.subset import RowSet
-from ebb.runtime import random
-from ebb.runtime.cpu import CpuDevice
+from ebb.runtime.cpu import CpuDevice, ReplayCode
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.errors import BadSwitch
-from ebb.runtime.threads import thread_count
+from ebb.runtime.threads import openmp, thread_count
 
 _STAGES: dict[str, Callable[[lir.Program, Target], str]] = {
     "lir": lambda program, _: lir_print.text(program),
@@ -61,6 +62,12 @@ class CpuBackend:
         check_private_bytes(checked.kernel.name, variable_bytes(checked.kernel))
         return CpuExecutable(checked, self)
 
+    def replay(self, operations: Sequence[Operation]) -> Replay | None:
+        """A captured step as one piece of machine code, or None where there is no OpenMP to run its launches with."""
+        if self.device.threads > 1 and openmp() is None:
+            return None
+        return Replay(_replay_code(self.device, self.cache), operations)
+
 
 def cpu_backend(threads: int | None = None, reorder: bool = True) -> CpuBackend:
     """The backend ``cpu``.
@@ -83,6 +90,12 @@ def _backend_of(threads: int, directory: Path, reorders: bool) -> CpuBackend:
     return CpuBackend(CpuDevice(threads), ObjectCache(directory), reorders)
 
 
+@cache
+def _replay_code(device: CpuDevice, objects: ObjectCache) -> ReplayCode:
+    """The code that replays captured steps, which is the same for all."""
+    return device.load_replay(replay_code(host(), objects))
+
+
 class CpuExecutable:
     """A kernel on the backend ``cpu``: machine code for each way in which its rows and its data have been met."""
 
@@ -94,18 +107,21 @@ class CpuExecutable:
         self._codes: dict[Step, KernelCode] = {}
         self._planners: dict[RowSet, Planner] = {}
 
-    def bind(self, rows: RowSet) -> Bound:
+    def bind(self, rows: RowSet, changing: AbstractSet[Field] = frozenset()) -> Bound:
         """The code for the data as it is, bound to ``rows``: compiled, where it is met so for the first time.
 
         Args:
             rows: the kernel's relation or a subset of it. The groupings that the kernel queries are valid.
+            changing: key fields, none that the kernel queries, on whose values nothing may depend.
 
         Raises:
             BackendError: the code cannot be compiled.
         """
         if rows.size == 0:
-            return _NoRows(draws(self._checked.kernel))
+            return NoRows(draws(self._checked.kernel))
         plan = self.plan(rows)
+        if not changing.isdisjoint(plan.read):
+            plan = self._planners[rows].plan_in_order("its keys change within a captured step")
         if not plan.settled:
             structure_changed()  # so that the next launch is planned again
         bound = [self._code(run.step).bind(run.rows, run.waves) for run in plan.runs if run.rows.size]
@@ -150,15 +166,3 @@ class CpuExecutable:
             precision = lir.Precision.FAST if self._checked.hints.fastmath else lir.Precision.CONTRACT
             code = self._codes[step] = KernelCode(step, precision, self._backend.device, self._backend.cache)
         return code
-
-
-@record
-class _NoRows:
-    """A launch on no rows at all: nothing is run, but a launch that would draw random numbers counts."""
-
-    draws: bool
-
-    def run(self, uniforms: Sequence[Any]) -> None:
-        del uniforms
-        if self.draws:
-            random.next_launch()

@@ -13,7 +13,9 @@ from ebb.compiler.lower import Launched, lower, sources_of
 from ebb.compiler.lower.facts import State
 from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.waves import Waves
+from ebb.records import record
 from ebb.relations.subset import RowSet
+from ebb.runtime import random
 from ebb.runtime.cpu import CpuCode, CpuDevice
 
 
@@ -84,6 +86,19 @@ class Bindings:
         """
         for binding in self.bindings:
             binding.run(uniforms)
+
+
+@record
+class NoRows:
+    """A launch on no rows at all: nothing is run, but a launch that would draw random numbers counts."""
+
+    draws: bool
+
+    def run(self, uniforms: Sequence[object]) -> None:
+        """Counts the launch."""
+        del uniforms
+        if self.draws:
+            random.next_launch()
 
 
 def launched_as(rows: RowSet) -> Launched:

@@ -13,6 +13,7 @@ from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
+from ebb.runtime.recording import refuse
 
 
 def _reference_backend() -> Backend:
@@ -49,6 +50,7 @@ def set_backend(name: str, **options: Any) -> None:
     Raises:
         BackendError: there is no such backend, it does not take an option, or this machine lacks what it needs.
     """
+    refuse("choosing a backend", "choose it before the with statement, or before the step runs")
     _selection.backend = _make_backend(name, options)
     structure_changed()
 
@@ -60,6 +62,7 @@ def backend(name: str, **options: Any) -> Generator[None, None, None]:
     Raises:
         BackendError: as ``set_backend``.
     """
+    refuse("choosing a backend", "choose it before the with statement, or before the step runs")
     chosen, before = _make_backend(name, options), _selection.backend
     _selection.backend = chosen
     structure_changed()

@@ -14,6 +14,7 @@ from ebb.relations.family import Family, join
 from ebb.relations.loading import Place, called_by_row, converted, target_of
 from ebb.runtime.buffer import Array, Buffer
 from ebb.runtime.epoch import structure_changed
+from ebb.runtime.recording import refuse
 from ebb.types.types import Type
 
 if TYPE_CHECKING:
@@ -120,7 +121,9 @@ class Field:
         Raises:
             RelationError: the value does not fit in shape or kind, a number or key is out of range, or a writable view
                 of the field is open.
+            BackendError: a step is being captured.
         """
+        refuse(f"loading {self.path}", "load it before the with statement, or set it in a kernel")
         self.check_no_view()
         match value:
             case Field():
@@ -134,8 +137,9 @@ class Field:
         """Sets the values of all rows to the constant ``value``; one number fills every component.
 
         Raises:
-            RelationError: as ``load``.
+            EbbError: as ``load``.
         """
+        refuse(f"filling {self.path}", f"launch a kernel that sets it: row.{self.name} = ...")
         self.check_no_view()
         self._store(converted(value, Place(self.path, self.type, ())))
 
@@ -143,7 +147,11 @@ class Field:
         """A copy of the values in the order of row numbers, shape ``relation.shape + type.shape``.
 
         Keys are row numbers, and for a grid index tuples on one more trailing axis; unset keys are -1.
+
+        Raises:
+            BackendError: a step is being captured.
         """
+        refuse(f"reading {self.path}", "read it when the step has run")
         rank = self.relation.storage.rank
         values = self.data.copy() if rank is None else np.take(self.data, rank, axis=0)
         target = target_of(self.type)
@@ -173,7 +181,9 @@ class Field:
 
         Raises:
             RelationError: ``write`` on a field of keys.
+            BackendError: a step is being captured.
         """
+        refuse(f"taking a view of {self.path}", "take it before the with statement, or when the step has run")
         if write:
             if self.target is not None:
                 raise RelationError(KeysNotWritable(self.path))
@@ -219,6 +229,7 @@ class Field:
     def __dlpack__(self, **options: Any) -> Any:
         """The memory of ``view()`` for another library, as DLPack says: read-only where the consumer knows how."""
         if options.get("max_version") is None and target_of(self.type) is None:
+            refuse(f"reading {self.path}", "read it when the step has run")
             return self._shaped().__dlpack__(**options)  # older consumers take no read-only memory
         return self.view().__dlpack__(**options)
 

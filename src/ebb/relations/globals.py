@@ -11,6 +11,7 @@ from ebb.records import record
 from ebb.relations.errors import NotNumbers
 from ebb.relations.loading import Place, converted
 from ebb.runtime.buffer import Array, Buffer
+from ebb.runtime.recording import recorder, refuse
 from ebb.types.types import KeyType, Type, as_type
 
 
@@ -32,7 +33,7 @@ class Global:
         """
         self.type: Type = _numeric(as_type(type), "global")
         self._buffer = Buffer(self.type.shape, self.type.dtype)
-        self.value = initial
+        self.data[...] = self._converted(initial)
 
     @property
     def data(self) -> Array:
@@ -45,16 +46,27 @@ class Global:
 
         Raises:
             RelationError: what is set does not fit in shape, kind or range; the value is then unchanged.
+            BackendError: it is read while a step is being captured.
         """
+        refuse("reading the value of a global", "read it when the step has run")
         return self.data.copy() if self.type.shape else self.data.item()
 
     @value.setter
     def value(self, value: Any) -> None:
-        self.data[...] = converted(value, Place("global", self.type, ()))
+        fitting = self._converted(value)
+        by = recorder()
+        if by is None:
+            self.data[...] = fitting
+        else:
+            by.record_set(self, np.array(np.broadcast_to(fitting, self.type.shape), dtype=self.type.dtype))
+
+    def _converted(self, value: Any) -> Array:
+        return converted(value, Place("global", self.type, ()))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         if copy is False:
             raise ValueError("the value of a global is copied to NumPy")
+        refuse("reading the value of a global", "read it when the step has run")
         return np.array(self.data, dtype=dtype)
 
     def __repr__(self) -> str:

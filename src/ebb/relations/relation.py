@@ -31,6 +31,7 @@ from ebb.relations.ordering import reorder
 from ebb.relations.storage import Rows, Storage, inverse, is_permutation
 from ebb.relations.subset import Box, Subset, select
 from ebb.relations.table import table
+from ebb.runtime.recording import recorder, refuse
 from ebb.types.types import KeyType, as_type
 
 Attribute: TypeAlias = Field | Member | Subset
@@ -149,7 +150,9 @@ class Relation:
         Raises:
             TypeError: ``type`` is no type.
             RelationError: the name is bad or taken, or ``init`` cannot be loaded; no field is added then.
+            BackendError: a step is being captured.
         """
+        refuse(f"adding a field to {self.name}", "add it before the with statement")
         self._check_free(name, "field")
         field = Field(self, name, as_type(type))
         if init is not None:
@@ -167,16 +170,24 @@ class Relation:
             RelationError: there is no such field, the types differ, or a writable view of one is open.
         """
         left, right = self._pair("swap", a, b)
-        if left is not right:
+        if left is right:
+            return
+        by = recorder()
+        if by is None:
             left.swap_with(right)
+        else:
+            by.record_swap(left, right)
 
     def copy(self, src: str | Field, dst: str | Field) -> None:
         """Copies the values of the field ``src`` to the field ``dst`` of the same type.
 
         Raises:
             RelationError: there is no such field, the types differ, or a writable view of one is open.
+            BackendError: a step is being captured.
         """
         source, target = self._pair("copy", src, dst)
+        copying = f"row.{target.name} = row.{source.name}"
+        refuse(f"copying {source.path} to {target.path}", f"launch a kernel that copies it: {copying}")
         if source is not target:
             target.load(source)
 
@@ -188,8 +199,10 @@ class Relation:
 
         Raises:
             RelationError: there is no such field, it is not of one key, or a writable view of a field is open.
+            BackendError: a step is being captured.
         """
         field = self._own(key)
+        refuse(f"grouping {self.name} by {field.name}", "group it before the with statement")
         if not isinstance(field.type, KeyType):
             keys = tuple(name for name, other in self._fields.items() if isinstance(other.type, KeyType))
             raise RelationError(NotGroupable(self.name, field.name, repr(field.type), keys))
@@ -242,7 +255,9 @@ class Relation:
         Raises:
             ValueError: ``order`` is no permutation of the rows, or the relation is a grid.
             RelationError: a writable view of a field is open.
+            BackendError: a step is being captured.
         """
+        refuse(f"permuting {self.name}", "permute it before the with statement, or when the step has run")
         moves: Rows = np.asarray(order, dtype=np.int64)
         if self.is_grid:
             raise ValueError(f"{self.name} is a grid, whose rows lie in the order of their indices")
@@ -271,7 +286,9 @@ class Relation:
 
         Raises:
             RelationError: the relation is a grid, or a writable view is open of a field that has to move.
+            BackendError: a step is being captured.
         """
+        refuse(f"reordering {self.name}", "reorder it before the with statement, or when the step has run")
         reorder(self)
 
     # Python's own

@@ -17,6 +17,7 @@ import numpy as np
 from ebb.errors import BackendError
 from ebb.runtime.buffer import aligned_zeros
 from ebb.runtime.errors import NoMachineCode
+from ebb.runtime.replay import REPLAY
 from ebb.runtime.symbols import external_symbols
 from ebb.runtime.threads import describe_threads, openmp, usable_threads
 
@@ -84,15 +85,26 @@ class ArgumentBlock:
 class CpuCode:
     """Machine code in this process. It is unloaded with this object."""
 
-    __slots__ = ("_tracker", "finish", "launch", "name", "share")
+    __slots__ = ("_tracker", "address", "finish", "launch", "name", "share")
 
     def __init__(self, name: str, tracker: Any) -> None:
         self.name = name
         self._tracker = tracker
+        self.address: int = tracker[LAUNCH]
         word, pointer = ctypes.c_int64, ctypes.c_void_p
         self.launch: Callable[[int], int] = ctypes.CFUNCTYPE(word, pointer)(tracker[LAUNCH])
         self.share: Callable[[int, int, int], None] = ctypes.CFUNCTYPE(None, pointer, word, word)(tracker[SHARE])
         self.finish: Callable[[int], None] = ctypes.CFUNCTYPE(None, pointer)(tracker[FINISH])
+
+
+class ReplayCode:
+    """The machine code that replays captured steps. It is unloaded with this object."""
+
+    __slots__ = ("_tracker", "run")
+
+    def __init__(self, tracker: Any) -> None:
+        self._tracker = tracker
+        self.run: Callable[[int], int] = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(tracker[REPLAY])
 
 
 class CpuDevice:
@@ -112,15 +124,15 @@ class CpuDevice:
         Raises:
             BackendError: it cannot be linked.
         """
-        builder = llvm.JITLibraryBuilder().add_object_img(image)
-        for symbol, address in external_symbols(image).items():
-            builder.import_symbol(symbol, address)
-        for entry in (LAUNCH, SHARE, FINISH):
-            builder.export_symbol(entry)
-        try:
-            return CpuCode(name, builder.link(_linker(), f"{name}.{next(_links)}"))
-        except RuntimeError as error:
-            raise BackendError(NoMachineCode(llvm.get_process_triple(), str(error))) from error
+        return CpuCode(name, _link(name, image, (LAUNCH, SHARE, FINISH)))
+
+    def load_replay(self, image: bytes) -> ReplayCode:
+        """Links the object code that replays captured steps into the process.
+
+        Raises:
+            BackendError: it cannot be linked.
+        """
+        return ReplayCode(_link(REPLAY, image, (REPLAY,)))
 
     def launch(self, code: CpuCode, block: ArgumentBlock, shares: int) -> bool:
         """Runs ``code`` over its blocks of rows, which at most ``shares`` threads share.
@@ -128,13 +140,15 @@ class CpuDevice:
         Returns:
             Whether some row failed.
         """
-        threads = shares if shares < self.threads else self.threads
-        if threads > 1:
-            threads = usable_threads(threads)
-        block.numbers[THREADS] = threads
+        threads = block.numbers[THREADS] = self.threads_for(shares)
         if threads == 1 or block.numbers[FORK]:
             return code.launch(block.address) != 0
         return _launch_on_python_threads(code, block, threads)
+
+    def threads_for(self, shares: int) -> int:
+        """How many threads a launch gets that as many as ``shares`` threads can share."""
+        threads = shares if shares < self.threads else self.threads
+        return usable_threads(threads) if threads > 1 else 1
 
     def describe(self) -> str:
         """The processor and how it runs threads, in words."""
@@ -155,6 +169,19 @@ def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int)
         return True
     code.finish(block.address)
     return False
+
+
+def _link(name: str, image: bytes, entries: tuple[str, ...]) -> Any:
+    """Links object code into the process; the result has the addresses of its ``entries``, and keeps it there."""
+    builder = llvm.JITLibraryBuilder().add_object_img(image)
+    for symbol, address in external_symbols(image).items():
+        builder.import_symbol(symbol, address)
+    for entry in entries:
+        builder.export_symbol(entry)
+    try:
+        return builder.link(_linker(), f"{name}.{next(_links)}")
+    except RuntimeError as error:
+        raise BackendError(NoMachineCode(llvm.get_process_triple(), str(error))) from error
 
 
 class _Linker:

@@ -138,3 +138,72 @@ class BadSwitch(Diagnostic):
     @property
     def title(self) -> str:
         return f"the option {self.option}={self.value!r} of the backend '{self.backend}' is neither True nor False"
+
+
+@record
+class HostStepInCapture(Diagnostic):
+    """Something inside ``with ebb.capture()`` that cannot be recorded."""
+
+    code: ClassVar[str] = "E607"
+    action: str
+    instead: str
+
+    @property
+    def title(self) -> str:
+        return f"{self.action} cannot be captured"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (
+            "inside 'with ebb.capture()' nothing runs: launches, swaps and sets of globals are recorded, and run "
+            "later without Python in between",
+        )
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (self.instead,)
+
+
+@record
+class BadRepeatCount(Diagnostic):
+    """How often a captured step shall run is no whole number from 0 on."""
+
+    code: ClassVar[str] = "E608"
+    value: Any
+
+    @property
+    def title(self) -> str:
+        return f"a captured step cannot run {self.value!r} times"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("step.run(n) takes a whole number from 0 on",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("leave it out to run the step once",)
+
+
+@record
+class IndexInCapture(Diagnostic):
+    """A captured step changes keys by which one of its launches looks rows up. ``change`` is what changes them."""
+
+    code: ClassVar[str] = "E609"
+    change: str
+    field: str
+    kernel: str
+
+    @property
+    def title(self) -> str:
+        return f"{self.change} changes {self.field}, by which kernel '{self.kernel}' of the same step looks rows up"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (
+            f"when {self.field} has changed, Python builds the index of its rows anew before the next query; "
+            "a captured step runs without Python in between",
+        )
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("capture them as two steps and run one after the other, or launch them as they are",)

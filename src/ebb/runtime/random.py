@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ebb.records import record
+from ebb.runtime.recording import refuse
 from ebb.types.types import ScalarType, float32
 
 Words: TypeAlias = tuple[Any, Any, Any, Any]
@@ -51,16 +52,28 @@ def seed(value: int) -> None:
 
     Raises:
         TypeError: ``value`` is no integer.
+        BackendError: a step is being captured.
     """
+    refuse("seeding the random numbers", "seed them before the with statement, or before the step runs")
     _generator.seed = operator.index(value) & 0xFFFFFFFFFFFFFFFF
     _generator.launches = 0
 
 
 def next_launch() -> LaunchKey:
     """The key of a new launch. A backend takes one for each launch of a kernel that draws, and for no other."""
-    key = LaunchKey(_generator.seed, _generator.launches & _MASK)
+    key = present_key()
     _generator.launches += 1
     return key
+
+
+def present_key() -> LaunchKey:
+    """The key that the next launch that draws will get."""
+    return LaunchKey(_generator.seed, _generator.launches & _MASK)
+
+
+def go_on_from(launches: int) -> None:
+    """Says how many launches have drawn since the seed was set, where machine code has counted them."""
+    _generator.launches = launches
 
 
 def philox(counter: Words, key: tuple[Any, Any]) -> Words:

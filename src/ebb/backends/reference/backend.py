@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 import numpy as np
 
-from ebb.backends.backend import CheckedKernel, How
+from ebb.backends.backend import CheckedKernel, How, Operation
 from ebb.backends.reference.interpreter import run
 from ebb.compiler import kir
 from ebb.records import record
+from ebb.relations.field import Field
 from ebb.relations.subset import RowSet
 
 
@@ -35,8 +37,9 @@ class ReferenceExecutable:
 
     kernel: kir.Kernel
 
-    def bind(self, rows: RowSet) -> ReferenceBound:
-        """The kernel on ``rows``."""
+    def bind(self, rows: RowSet, changing: AbstractSet[Field] = frozenset()) -> ReferenceBound:
+        """The kernel on ``rows``, whatever changes."""
+        del changing
         return ReferenceBound(self.kernel, rows)
 
     def how(self, rows: RowSet) -> How:
@@ -61,6 +64,10 @@ class ReferenceBackend:
     def prepare(self, checked: CheckedKernel) -> ReferenceExecutable:
         """The kernel is run as it is."""
         return ReferenceExecutable(checked.kernel)
+
+    def replay(self, operations: Sequence[Operation]) -> None:
+        """None: there is nothing but Python here."""
+        del operations
 
 
 def reference_backend() -> ReferenceBackend:

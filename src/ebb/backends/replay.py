@@ -1,0 +1,152 @@
+"""A captured step on the backend ``cpu``: a table of operations that machine code goes through, without Python.
+
+Each launch of the step has an argument block of its own, a copy of its binding's with the values of its uniforms. Where
+the memory of fields lies is kept in a table meanwhile; when the machine code is done, or has failed, the fields are
+given what the table says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ebb.backends.backend import Operation, RunKernel, SetGlobal, SwapFields
+from ebb.backends.binding import Binding
+from ebb.backends.kernel_code import Bindings, NoRows
+from ebb.compiler import lir
+from ebb.relations.field import Field
+from ebb.runtime import random
+from ebb.runtime.buffer import Array
+from ebb.runtime.cpu import THREADS, ReplayCode
+from ebb.runtime.replay import (
+    BUFFERS,
+    COUNT,
+    DRAWN,
+    FAILED,
+    NONE,
+    OPERATION_WORDS,
+    OPERATIONS,
+    RUNS,
+    STATE_WORDS,
+    Kind,
+)
+
+SLICE_SECONDS = 0.05
+"""About how long the machine code runs at a time: in between Python takes notice of an interrupt."""
+
+
+class Replay:
+    """A step that is ready to run, until the structure changes."""
+
+    def __init__(self, code: ReplayCode, operations: Sequence[Operation]) -> None:
+        """Makes the table of ``operations``.
+
+        Args:
+            code: the machine code.
+            operations: what the step consists of; fields that are swapped have the same layout.
+        """
+        self._code = code
+        self._numbers: dict[Field, int] = {}
+        self._rows: list[list[int]] = []
+        self._launches: dict[int, tuple[Binding, Array]] = {}
+        self._swapped: dict[Field, int] = {}
+        self._kept: list[object] = []
+        self._slice = 1
+        for operation in operations:
+            self._add(operation)
+        self._table = np.array(self._rows, dtype=np.int64).reshape(-1, OPERATION_WORDS)
+        self._buffers = np.zeros(max(len(self._numbers), 1), dtype=np.int64)
+        self._state = np.zeros(STATE_WORDS, dtype=np.int64)
+        self._state[OPERATIONS] = self._table.ctypes.data
+        self._state[COUNT] = len(self._table)
+        self._state[BUFFERS] = self._buffers.ctypes.data
+        self._address: int = self._state.ctypes.data
+
+    def run(self, count: int) -> None:
+        """Runs the step ``count`` times. The caller holds ``launching()``.
+
+        Raises:
+            EbbError: an assertion or a check of a kernel failed for some row; what comes after it has not run.
+        """
+        if not len(self._table):
+            return
+        held = {field: field.buffer for field in self._numbers}
+        self._buffers[: len(held)] = [buffer.address for buffer in held.values()]
+        by_address = {held[field].address: held[field] for field in self._swapped}
+        self._begin()
+        try:
+            self._run_in_slices(count)
+        finally:
+            for field, number in self._swapped.items():
+                field.buffer = by_address[int(self._buffers[number])]
+            random.go_on_from(int(self._state[DRAWN]))
+
+    def _begin(self) -> None:
+        """Puts in place what may have changed since the last run without a change of the structure."""
+        key = random.present_key()
+        self._state[DRAWN] = key.launch
+        for binding, words in self._launches.values():
+            words[THREADS] = binding.threads()
+            binding.place_key(words, key)
+
+    def _run_in_slices(self, count: int) -> None:
+        while count:
+            turns = min(self._slice, count)
+            self._state[RUNS] = turns
+            start = perf_counter()
+            try:
+                failed = self._code.run(self._address)
+                failure = self._launches[int(self._state[FAILED])][0].take_failure() if failed else None
+            except BaseException:  # an interrupt: a failure that nobody has seen is none of the next launch
+                for binding, _ in self._launches.values():
+                    binding.forget_failures()
+                raise
+            if failure is not None:
+                raise failure
+            seconds = perf_counter() - start
+            count -= turns
+            if seconds < SLICE_SECONDS / 4 and turns == self._slice:
+                self._slice *= 2
+            elif seconds > SLICE_SECONDS:
+                self._slice = max(1, self._slice // 2)
+
+    # ---- The table. ----
+
+    def _add(self, operation: Operation) -> None:
+        match operation:
+            case RunKernel(Binding() as binding, uniforms):
+                self._add_launch(binding, uniforms)
+            case RunKernel(Bindings(bindings=bindings), uniforms):
+                for binding in bindings:
+                    self._add_launch(binding, uniforms)
+            case RunKernel(NoRows(draws=draws)):
+                if draws:
+                    self._add_row(Kind.DRAW)
+            case RunKernel():
+                raise TypeError(f"{operation.bound!r} is not bound to this backend")
+            case SwapFields(left, right):
+                self._swapped.update({field: self._number(field) for field in (left, right)})
+                self._add_row(Kind.SWAP, self._number(left), self._number(right))
+            case SetGlobal(globl, value):
+                source = np.ascontiguousarray(value)
+                self._kept.append(source)
+                self._add_row(Kind.COPY, globl.data.ctypes.data, source.ctypes.data, source.nbytes)
+
+    def _add_launch(self, binding: Binding, uniforms: tuple[Any, ...]) -> None:
+        words, held = binding.copy_block(uniforms)
+        pairs = [(word, self._number(field)) for word, field in binding.field_words]
+        places = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        self._kept += [places, held]
+        self._launches[len(self._rows)] = binding, words
+        number = binding.random_words.get(lir.RandomWord.LAUNCH, NONE)
+        self._add_row(Kind.LAUNCH, binding.code.address, words.ctypes.data, places.ctypes.data, len(places), number)
+
+    def _add_row(self, kind: Kind, *words: int) -> None:
+        self._rows.append([kind, *words, *[0] * (OPERATION_WORDS - 1 - len(words))])
+
+    def _number(self, field: Field) -> int:
+        """The number of ``field`` in the table of buffers."""
+        return self._numbers.setdefault(field, len(self._numbers))
