@@ -239,7 +239,7 @@ the rounds.
   use OpenMP's atomics.
 - Numba {numba}: `njit(fastmath=True)`, `parallel=True` where there are several threads. It has no atomics on the CPU,
   so the loops that scatter stay on one thread.
-- Taichi {taichi} and Quadrants {quadrants}: kernels over flat arrays of numbers and vectors with the default options;
+- Taichi {taichi} and Quadrants {quadrants}: kernels over dense fields of numbers and vectors with the default options;
   `+=` is atomic where it must be.
 - Warp {warp}: kernels over `wp.vec3` arrays, without the code for adjoints. On the CPU it uses one thread.
 - Ebb {ebb}: the programs of `benchmarks/systems/ebb.py`, without any option but the number of threads.

@@ -222,5 +222,5 @@ PROGRAMS: Programs = {
     "stencil": stencil,
     "heat": heat,
     "pcg": pcg,
-    **({"captured": captured} if hasattr(ebb, "capture") else {}),
+    "captured": captured,
 }

@@ -18,24 +18,21 @@ from benchmarks.systems import Prepared, Programs
 ti: Any = importlib.import_module(os.environ["BENCHMARKS_SYSTEM"])
 ti.init(arch=ti.cpu, cpu_max_num_threads=int(os.environ["BENCHMARKS_THREADS"]), log_level=ti.WARN, offline_cache=True)
 
-Vectors = ti.types.ndarray(dtype=ti.types.vector(3, ti.f32), ndim=1)
-Floats = ti.types.ndarray(dtype=ti.f32, ndim=1)
-Integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
-Grid = ti.types.ndarray(dtype=ti.f32, ndim=3)
+Field = ti.template()
 
 
 def version() -> str:
     return ".".join(map(str, ti.__version__))
 
 
-def array(values: np.ndarray) -> Any:
-    """A flat array of numbers, or of vectors where ``values`` has three columns."""
+def field(values: np.ndarray) -> Any:
+    """A dense field of numbers, or of vectors where ``values`` has two dimensions: faster here than an ndarray."""
     dtype = ti.i32 if values.dtype == np.int32 else ti.f32
     if values.ndim == 2:
-        made = ti.Vector.ndarray(values.shape[1], dtype, shape=len(values))
+        made = ti.Vector.field(values.shape[1], dtype, shape=len(values))
     else:
-        made = ti.ndarray(dtype, shape=values.shape)
-    made.from_numpy(np.ascontiguousarray(values))
+        made = ti.field(dtype, shape=values.shape)
+    made.from_numpy(values)
     return made
 
 
@@ -58,8 +55,8 @@ def pull(dq, rest_len, stiffness):
 
 
 @ti.kernel
-def gather(first: Integers, head: Integers, rest_len: Floats, q: Vectors, force: Vectors, stiffness: ti.f32):
-    for v in range(q.shape[0]):
+def gather(first: Field, head: Field, rest_len: Field, q: Field, force: Field, stiffness: ti.f32):
+    for v in q:
         total = force[v]
         own = q[v]
         for e in range(first[v], first[v + 1]):
@@ -68,15 +65,15 @@ def gather(first: Integers, head: Integers, rest_len: Floats, q: Vectors, force:
 
 
 @ti.kernel
-def scatter(tail: Integers, head: Integers, rest_len: Floats, q: Vectors, force: Vectors, stiffness: ti.f32):
-    for e in range(tail.shape[0]):
+def scatter(tail: Field, head: Field, rest_len: Field, q: Field, force: Field, stiffness: ti.f32):
+    for e in tail:
         t = tail[e]
         force[t] += pull(q[head[e]] - q[t], rest_len[e], stiffness)
 
 
 @ti.kernel
-def scatter_to_both(tail: Integers, head: Integers, rest_len: Floats, q: Vectors, force: Vectors, stiffness: ti.f32):
-    for e in range(tail.shape[0]):
+def scatter_to_both(tail: Field, head: Field, rest_len: Field, q: Field, force: Field, stiffness: ti.f32):
+    for e in tail:
         t = tail[e]
         h = head[e]
         f = pull(q[h] - q[t], rest_len[e], stiffness)
@@ -85,8 +82,8 @@ def scatter_to_both(tail: Integers, head: Integers, rest_len: Floats, q: Vectors
 
 
 @ti.kernel
-def move(q: Vectors, qd: Vectors, force: Vectors, mass: Floats, dt: ti.f32):
-    for v in range(q.shape[0]):
+def move(q: Field, qd: Field, force: Field, mass: Field, dt: ti.f32):
+    for v in q:
         qdd = force[v] / mass[v]
         q[v] = q[v] + qd[v] * dt + 0.5 * qdd * dt * dt
         qd[v] = qd[v] + qdd * dt
@@ -94,9 +91,9 @@ def move(q: Vectors, qd: Vectors, force: Vectors, mass: Floats, dt: ti.f32):
 
 
 def springs(arrays: Arrays, forces: Callable[..., None], index: str) -> Prepared:
-    given = [array(arrays[name]) for name in (index, "head")]
-    rest_len, q, qd, mass = (array(arrays[name]) for name in ("rest_len", "q", "qd", "mass"))
-    force = array(np.zeros_like(arrays["q"]))
+    given = [field(arrays[name]) for name in (index, "head")]
+    rest_len, q, qd, mass = (field(arrays[name]) for name in ("rest_len", "q", "qd", "mass"))
+    force = field(np.zeros_like(arrays["q"]))
 
     def step() -> None:
         forces(*given, rest_len, q, force, STIFFNESS)
@@ -106,25 +103,27 @@ def springs(arrays: Arrays, forces: Callable[..., None], index: str) -> Prepared
 
 
 @ti.kernel
-def axpy(a: ti.f32, x: Floats, y: Floats):
-    for i in range(x.shape[0]):
+def axpy(a: ti.f32, x: Field, y: Field):
+    for i in x:
         y[i] = a * x[i] + y[i]
 
 
 def streaming(arrays: Arrays) -> Prepared:
-    x, y = array(arrays["x"]), array(arrays["y"])
+    x, y = field(arrays["x"]), field(arrays["y"])
     return Prepared(repeat(lambda: axpy(AXPY_FACTOR, x, y)), lambda: {"y": y.to_numpy()})
 
 
 @ti.kernel
-def relax(old: Grid, new: Grid, center: ti.f32, side: ti.f32):
-    for i, j, k in ti.ndrange((1, old.shape[0] - 1), (1, old.shape[1] - 1), (1, old.shape[2] - 1)):
-        sides = old[i - 1, j, k] + old[i + 1, j, k] + old[i, j - 1, k] + old[i, j + 1, k]
-        new[i, j, k] = center * old[i, j, k] + side * (sides + old[i, j, k - 1] + old[i, j, k + 1])
+def relax(old: Field, new: Field, center: ti.f32, side: ti.f32):
+    for i in range(1, old.shape[0] - 1):  # three loops: a third of the time of one over ti.ndrange
+        for j in range(1, old.shape[1] - 1):
+            for k in range(1, old.shape[2] - 1):
+                sides = old[i - 1, j, k] + old[i + 1, j, k] + old[i, j - 1, k] + old[i, j + 1, k]
+                new[i, j, k] = center * old[i, j, k] + side * (sides + old[i, j, k - 1] + old[i, j, k + 1])
 
 
 def stencil(arrays: Arrays) -> Prepared:
-    state = [array(arrays["old"]), array(arrays["new"])]
+    state = [field(arrays["old"]), field(arrays["new"])]
 
     def step() -> None:
         relax(*state, STENCIL_CENTER, STENCIL_SIDE)
@@ -134,8 +133,8 @@ def stencil(arrays: Arrays) -> Prepared:
 
 
 @ti.kernel
-def diffuse(first: Integers, head: Integers, weight: Floats, rate: Floats, old: Floats, new: Floats):
-    for v in range(old.shape[0]):
+def diffuse(first: Field, head: Field, weight: Field, rate: Field, old: Field, new: Field):
+    for v in old:
         own = old[v]
         flow = 0.0
         for e in range(first[v], first[v + 1]):
@@ -144,8 +143,8 @@ def diffuse(first: Integers, head: Integers, weight: Floats, rate: Floats, old: 
 
 
 def heat(arrays: Arrays) -> Prepared:
-    given = [array(arrays[name]) for name in ("first", "head", "weight", "rate")]
-    state = [array(arrays["old"]), array(arrays["new"])]
+    given = [field(arrays[name]) for name in ("first", "head", "weight", "rate")]
+    state = [field(arrays["old"]), field(arrays["new"])]
 
     def step() -> None:
         diffuse(*given, *state)
@@ -155,9 +154,9 @@ def heat(arrays: Arrays) -> Prepared:
 
 
 @ti.kernel
-def start(diagonal: Floats, b: Floats, x: Floats, r: Floats, p: Floats) -> ti.f64:
+def start(diagonal: Field, b: Field, x: Field, r: Field, p: Field) -> ti.f64:
     rz = ti.cast(0.0, ti.f64)
-    for v in range(b.shape[0]):
+    for v in b:
         x[v] = 0.0
         r[v] = b[v]
         p[v] = b[v] / diagonal[v]
@@ -166,9 +165,9 @@ def start(diagonal: Floats, b: Floats, x: Floats, r: Floats, p: Floats) -> ti.f6
 
 
 @ti.kernel
-def multiply(first: Integers, head: Integers, weight: Floats, diagonal: Floats, p: Floats, product: Floats) -> ti.f64:
+def multiply(first: Field, head: Field, weight: Field, diagonal: Field, p: Field, product: Field) -> ti.f64:
     along = ti.cast(0.0, ti.f64)
-    for v in range(p.shape[0]):
+    for v in p:
         total = diagonal[v] * p[v]
         for e in range(first[v], first[v + 1]):
             total -= weight[e] * p[head[e]]
@@ -178,9 +177,9 @@ def multiply(first: Integers, head: Integers, weight: Floats, diagonal: Floats, 
 
 
 @ti.kernel
-def update(alpha: ti.f32, diagonal: Floats, p: Floats, product: Floats, x: Floats, r: Floats) -> ti.f64:
+def update(alpha: ti.f32, diagonal: Field, p: Field, product: Field, x: Field, r: Field) -> ti.f64:
     rz = ti.cast(0.0, ti.f64)
-    for v in range(p.shape[0]):
+    for v in p:
         x[v] = x[v] + alpha * p[v]
         rest = r[v] - alpha * product[v]
         r[v] = rest
@@ -189,15 +188,15 @@ def update(alpha: ti.f32, diagonal: Floats, p: Floats, product: Floats, x: Float
 
 
 @ti.kernel
-def turn(beta: ti.f32, diagonal: Floats, r: Floats, p: Floats):
-    for v in range(p.shape[0]):
+def turn(beta: ti.f32, diagonal: Field, r: Field, p: Field):
+    for v in p:
         p[v] = r[v] / diagonal[v] + beta * p[v]
 
 
 def pcg(arrays: Arrays) -> Prepared:
-    index = [array(arrays[name]) for name in ("first", "head", "weight")]
-    diagonal, b = array(arrays["diagonal"]), array(arrays["b"])
-    x, r, p, product = (array(np.zeros_like(arrays["b"])) for _ in range(4))
+    index = [field(arrays[name]) for name in ("first", "head", "weight")]
+    diagonal, b = field(arrays["diagonal"]), field(arrays["b"])
+    x, r, p, product = (field(np.zeros_like(arrays["b"])) for _ in range(4))
 
     def solve() -> None:
         rz = start(diagonal, b, x, r, p)
