@@ -267,7 +267,7 @@ class _Planner:
 
     def find_early(self, lets: list[lir.Let]) -> None:
         """Arithmetic on what does not vary is done before the loop, whether or not a turn asks for it."""
-        late: set[int] = set()
+        late = {self.loop.counter.number}
         for let in lets:
             number = let.temp.number
             reads = isinstance(let.operation, lir.Load | lir.LoadVar)
