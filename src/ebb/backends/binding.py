@@ -197,6 +197,8 @@ class Binding:
         self._starts = np.array([0, self._blocks], dtype=np.int64) if waves is None else waves.starts
         self._shares = self._worthwhile(self._blocks if waves is None else waves.widest)
         self._alone = self._shares == 1 or self._device.threads == 1
+        if not self._alone:
+            self._block.join_threads()
         words[ITEMS] = 0 if waves is None else waves.items.ctypes.data
         words[STARTS] = self._starts.ctypes.data
         words[WAVES] = len(self._starts) - 1

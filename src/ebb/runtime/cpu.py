@@ -66,6 +66,9 @@ class ArgumentBlock:
         self.numbers = self.views["q"]
         self.failures = aligned_zeros((threads, FAILURE_WORDS), np.dtype(np.int64))
         self.words[FAILURES] = self.failures.ctypes.data
+
+    def join_threads(self) -> None:
+        """Puts in place what a launch on several threads needs. One on a single thread need not wait for OpenMP."""
         runtime = openmp()
         if runtime is not None:
             self.words[[FORK, THREAD_NUMBER, THREAD_COUNT]] = runtime.fork, runtime.thread_number, runtime.thread_count
@@ -196,8 +199,11 @@ def _linker() -> Any:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
     if _Linker.instance is None or _Linker.linked == _LINKED_TOGETHER:
+        # It links and compiles nothing: for the processor as it is, LLVM would have to find out about it again.
+        target = llvm.Target.from_triple(llvm.get_process_triple())
+        machine = target.create_target_machine(opt=0, reloc="pic", codemodel="small")
         # JITLink puts the parts of an object next to one another; LLVM's older linker may put them out of reach.
-        _Linker.instance = llvm.create_lljit_compiler(use_jit_link=True)
+        _Linker.instance = llvm.create_lljit_compiler(machine, use_jit_link=True)
         _Linker.linked = 0
     _Linker.linked += 1
     return _Linker.instance

@@ -84,6 +84,8 @@ def usable_threads(threads: int) -> int:
 
 def worthwhile_threads(work: float) -> int:
     """How many threads a launch of ``work`` nanoseconds can pay for. It is for speed alone: no result depends on it."""
+    if work < 2 * GRAIN:  # said without loading OpenMP
+        return 1
     return max(1, int(work / (GRAIN if openmp() is not None else GRAIN_OF_PYTHON)))
 
 
