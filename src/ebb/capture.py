@@ -199,7 +199,7 @@ def capture() -> Generator[Step, None, None]:
     Raises:
         BackendError: what is done cannot be recorded.
     """
-    refuse("a capture inside a capture", "record one step after the other; run them in turn")
+    refuse("beginning another capture", "record one step after the other, and run them in turn")
     step, recorder = Step(), _Recorder()
     with recording(recorder):
         yield step
