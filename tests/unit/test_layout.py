@@ -410,3 +410,27 @@ def test_launches_convert_and_go_on() -> None:
     assert layouts == [ROWS] * 5 + [COLUMNS] * 4
     assert np.array_equal(rows.old, np.broadcast_to(np.linalg.matrix_power(turn, 5), (LEAST_ROWS, 3, 3)))
     assert np.array_equal(rows.F, np.broadcast_to(2 * np.linalg.matrix_power(turn, 4), (LEAST_ROWS, 3, 3)))
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    values = np.random.default_rng(0).random((LEAST_ROWS, 3, 3))
+    found: list[tuple[list[Layout], bytes]] = []
+    for threads in (1, 2, 3, 7):
+        rows = ebb.Relation("rows", size=LEAST_ROWS)
+        rows.new_field("F", ebb.mat3d, init=values)
+        rows.new_field("x", ebb.float64)
+        total = ebb.Global(ebb.float64, 0.0)
+
+        @ebb.kernel
+        def step(r: rows):
+            r.F = 0.5 * (r.F + ebb.inverse(r.F))
+            total.value += ebb.det(r.F)  # noqa: B023
+
+        layouts: list[Layout] = []
+        with ebb.backend("cpu", threads=threads):
+            for _ in range(7):
+                step(rows)
+                layouts.append(rows.F.buffer.layout)
+        found.append((layouts, rows.F.to_numpy().tobytes() + np.float64(total.value).tobytes()))
+    assert found[0][0][-1] is COLUMNS
+    assert all(each == found[0] for each in found)
