@@ -374,9 +374,8 @@ def host_steps():
 @pytest.mark.parametrize("name", host_steps())
 def test_what_the_host_does_is_an_error(backend, name):
     action = host_steps()[name]
-    with ebb.capture() as step:
-        with pytest.raises(ebb.BackendError, match="E607"):
-            action()
+    with ebb.capture() as step, pytest.raises(ebb.BackendError, match="E607"):
+        action()
     step.run()
 
 

@@ -1,5 +1,5 @@
 import ebb
 
 with ebb.capture() as outer:
-    with ebb.capture() as inner:  # ~ E607
+    with ebb.capture() as inner:  #~ E607
         pass

@@ -5,4 +5,4 @@ import ebb
 vertices, _ = make_mesh()
 
 with ebb.capture() as step:
-    vertices.copy("pos", "q")  # ~ E607
+    vertices.copy("pos", "q")  #~ E607

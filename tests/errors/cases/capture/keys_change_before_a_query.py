@@ -18,4 +18,4 @@ def count(v: vertices):
 
 with ebb.capture() as step:
     turn_round(edges)
-    count(vertices)  # ~ E609
+    count(vertices)  #~ E609

@@ -5,4 +5,4 @@ import ebb
 vertices, _ = make_mesh()
 
 with ebb.capture() as step:
-    vertices.force.load(0.0)  # ~ E607
+    vertices.force.load(0.0)  #~ E607

@@ -3,4 +3,4 @@ import ebb
 with ebb.capture() as step:
     pass
 
-step.run(0.1 / 0.01)  # ~ E608
+step.run(0.1 / 0.01)  #~ E608

@@ -11,4 +11,4 @@ def show(v: vertices):
 
 
 with ebb.capture() as step:
-    show(vertices)  # ~ E607
+    show(vertices)  #~ E607

@@ -13,4 +13,4 @@ def weigh(v: vertices):
 
 with ebb.capture() as step:
     weigh(vertices)
-    print(total.value)  # ~ E607
+    print(total.value)  #~ E607
