@@ -400,7 +400,7 @@ def test_launches_convert_and_go_on() -> None:
     @ebb.kernel
     def step(r: rows):
         r.F = turn @ r.F
-        r.x += ebb.det(r.F)
+        r.x += ebb.det(ebb.inverse(r.F))
 
     layouts: list[Layout] = []
     for _ in range(9):
