@@ -123,7 +123,7 @@ def test_neighbours_are_coloured(chain):
     pull = np.diff(points.pos.to_numpy(), axis=0)
     np.testing.assert_allclose(found, np.diff(np.pad(pull, ((1, 1), (0, 0))), axis=0), atol=1e-12)
     np.testing.assert_array_equal(count, added(links, points, (links.b, np.ones(SIZE))))
-    assert said(scatter, links) == "coloured: 2 waves of 7 and 6 chunks of 8,192 rows"
+    assert said(scatter, links) == "coloured: 2 waves of 25 and 24 chunks of 2,048 rows"
 
 
 def test_a_tangle_of_one_key_is_gathered_through_an_index_of_its_own(tangle):

@@ -116,7 +116,8 @@ class Planner:
             self._builds = 0
             return self._plan
         if self._builds >= 2 and now != before:
-            return self._in_order("the keys changed before each of the last launches", settled=False)
+            read = self._plan.read if self._plan is not None else ()
+            return self._in_order("the keys changed before each of the last launches", read, settled=False)
         self._builds += 1
         self._plan = self._make()
         self._made_at = self._seen = self._state()  # refreshing a grouping may have permuted its relation
@@ -174,18 +175,12 @@ class Planner:
                 assert self._stages is not None
                 return self._stage(self._stages, touches)
             case Way.IN_ORDER:
-                return self._in_order("no other way is clearly quicker")
+                return self._in_order("no other way is clearly quicker", touches.read)
 
-    def _in_order(self, why: str, settled: bool = True) -> Plan:
+    def _in_order(self, why: str, read: tuple[Field, ...] = (), settled: bool = True) -> Plan:
         order = f"one after the other, so that sums in other rows do not depend on the threads: {why}"
-        read = self._plan.read if self._plan is not None and not settled else self._key_fields()
         waves = in_order(len(self._starts()) - 1)
         return Plan((Run(self._step, self._rows, waves),), ROW_AFTER_ROW, order, read, settled)
-
-    def _key_fields(self) -> tuple[Field, ...]:
-        """The key fields that the kernel follows and does not change."""
-        fields = self._step.phases.fields.items()
-        return tuple(field for field, phase in fields if field.target is not None and not phase.changed)
 
     # ---- Colours ----
 
