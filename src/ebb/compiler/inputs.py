@@ -30,6 +30,9 @@ _BARE = (bool_, int32, float64)
 _ROUNDED_ONCE = range(-(2**53), 2**53 + 1)
 """The integers that become a float of any width as if rounded once."""
 
+_FLOATS: Mapping[type, range | None] = {float: None, np.float64: None, np.float32: None, int: _ROUNDED_ONCE}
+"""What a float is made of without further ado, and the limits of what is."""
+
 
 class _UnmetError(Exception):
     """A value is not of the form that its reader was made for."""
@@ -56,12 +59,14 @@ class Inputs:
             uniforms: what the host evaluates.
         """
         floats = {host_identity(guard.expr) for guard in guards if isinstance(guard, TypeGuard) and guard.type is float}
-        floats.update([("parameter", i) for i, each in enumerate(parameters) if _surely_float(*each)])
-        read = floats & {host_identity(each.expr) for each in uniforms if _is_float(each.type)}
+        floats.update([("parameter", i) for i, each in enumerate(parameters) if each == (float64, None)])
+        asked = {host_identity(each.expr) for each in uniforms if _is_float(each.type)}
+        read = floats & asked
         self._count = len(parameters)
         self._readers = [_reader(kernel, each, host_identity(each.expr) in read) for each in uniforms]
-        # The reader of a float looks at its type itself.
+        # The reader of a float looks at its type itself, and that of a declared float at what it takes.
         left = [g for g in guards if not (isinstance(g, TypeGuard) and host_identity(g.expr) in read)]
+        read |= asked & {("parameter", i) for i, each in enumerate(parameters) if _is_declared_float(*each)}
         self._checks = (
             *[_parameter_check(i, *each) for i, each in enumerate(parameters) if ("parameter", i) not in read],
             *_identity_checks(left),
@@ -123,9 +128,9 @@ def _is_of_global(guard: Guard) -> bool:
     return isinstance(guard, IdentityGuard) and isinstance(guard.expr, HostGlobal)
 
 
-def _surely_float(type_: ParameterType, declared: _Declared) -> bool:
-    """Whether a Python float is of the type of a parameter, and what else may be need not be met here."""
-    return isinstance(type_, ScalarType) and type_.kind is Kind.FLOAT and (declared is not None or type_ in _BARE)
+def _is_declared_float(type_: ParameterType, declared: _Declared) -> bool:
+    """Whether a parameter takes all numbers that its uniform, which a declared parameter has, takes without ado."""
+    return declared is not None and isinstance(type_, ScalarType) and type_.kind is Kind.FLOAT
 
 
 # ---- Readers. ----
@@ -142,7 +147,7 @@ def _reader(kernel: str, uniform: HostValue, is_float: bool) -> Reader:
         case Kind.BOOL:
             return _number_reader(uniform.expr, {bool: None})
         case Kind.FLOAT:
-            return _number_reader(uniform.expr, {float: None, int: _ROUNDED_ONCE})
+            return _number_reader(uniform.expr, _FLOATS)
         case Kind.SIGNED | Kind.UNSIGNED:
             return _number_reader(uniform.expr, {int: _limits(type_)})
 
