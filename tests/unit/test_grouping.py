@@ -48,7 +48,7 @@ def test_the_first_grouping_sorts_the_storage(mesh: tuple[Relation, Relation]) -
     grouping = edges.tail.grouping
     assert grouping.rows is None
     assert grouping.offsets.tolist() == [0, 2, 3, 5, 6]
-    assert grouping.offsets.dtype == np.int64
+    assert grouping.offsets.dtype == edges.key_dtype == np.int32
     assert edges.tail.data.tolist() == [0, 0, 1, 2, 2, 3]
     assert edges.storage.order.tolist() == [1, 3, 2, 0, 5, 4]
     assert edges.storage.rank[edges.storage.order].tolist() == list(range(6))
@@ -77,7 +77,7 @@ def test_a_second_grouping_goes_through_rows(mesh: tuple[Relation, Relation]) ->
     edges.group_by(edges.head)
     assert groups(edges.tail) == expected(TAILS, 4)
     assert groups(edges.head) == expected(HEADS, 4)
-    assert edges.head.grouping.rows.dtype == np.int64
+    assert edges.head.grouping.rows.dtype == np.int32
     assert edges.tail.grouping.rows is None
     kept = edges.tail.grouping
     edges.group_by("tail")

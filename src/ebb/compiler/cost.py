@@ -16,9 +16,6 @@ from ebb.records import field, record, replace
 from ebb.relations.field import Field
 from ebb.types.types import Type
 
-OFFSET_BYTES = 8
-"""Of one entry of the offsets or the rows of a grouping."""
-
 Place: TypeAlias = "tuple[Any, ...]"
 
 
@@ -130,7 +127,7 @@ class _Counter:
                 turns = group_size(index)
                 indirect = index.grouping is not None and index.grouping.rows is not None
                 entries = 2 + (turns if indirect else 0)
-                return self._expr(key).plus(Cost(other_bytes=OFFSET_BYTES * entries)).plus(self._loop(body), turns)
+                return self._expr(key).plus(Cost(other_bytes=_entry(index) * entries)).plus(self._loop(body), turns)
 
     def _change(self, stmt: kir.WriteField | kir.ReduceField) -> Cost:
         size = stmt.value.type.size
@@ -151,8 +148,8 @@ class _Counter:
                 return self._all((key, *indices)).plus(self._read(of, key, indices, expr.type.size))
             case kir.ReadField(of, key):
                 return self._expr(key).plus(self._read(of, key, (), expr.type.size))
-            case kir.QuerySize(_, key):
-                return self._expr(key).plus(Cost(other_bytes=2 * OFFSET_BYTES, operations=1))
+            case kir.QuerySize(index, key):
+                return self._expr(key).plus(Cost(other_bytes=2 * _entry(index), operations=1))
             case kir.Choose(condition, then, other):
                 arms = (self._expr(then), self._expr(other))
                 return self._expr(condition).plus(max(arms, key=lambda cost: (cost.bytes, cost.operations)))
@@ -168,6 +165,11 @@ class _Counter:
         self.read.add(place)
         count = size * _scalar_bytes(of.type)
         return Cost(own_bytes=count) if self.centered.is_centered(key) else Cost(other_bytes=count)
+
+
+def _entry(index: Field) -> int:
+    """The bytes of one entry of the offsets or the rows of a grouping."""
+    return index.relation.key_dtype.itemsize
 
 
 def _unknown(turn: Cost) -> Cost:

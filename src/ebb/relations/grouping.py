@@ -24,8 +24,8 @@ class Grouping:
 
     Attributes:
         field: the key field.
-        offsets: int64, one more than the target has rows.
-        rows: int64 positions, or None where the rows are stored in this very order.
+        offsets: one more than the target has rows, in the relation's ``key_dtype``.
+        rows: positions in that dtype, or None where the rows are stored in this very order.
         orders_storage: whether the grouping permutes its relation so that ``rows`` is None.
     """
 
@@ -35,8 +35,8 @@ class Grouping:
         self.field = field
         self.target = cast("Relation", field.target)
         self.orders_storage = _may_order(field.relation, self.target)
-        self.offsets: Rows = np.zeros(self.target.size + 1, dtype=np.int64)
-        self.rows: Rows | None = None
+        self.offsets: Array = np.zeros(self.target.size + 1, dtype=field.relation.key_dtype)
+        self.rows: Array | None = None
         self._built: tuple[int, int, int] | None = None
 
     @property
@@ -69,10 +69,10 @@ class Grouping:
             if self.orders_storage:
                 relation.permute(order)
             else:
-                self.rows = order
+                self.rows = order.astype(relation.key_dtype)
         # Counted in storage order, and so sequentially where that is sorted. Unset keys, -1, come first.
         counts = np.bincount(np.add(self.field.data, 1, dtype=np.int64), minlength=self.target.size + 1)
-        self.offsets = np.cumsum(counts, dtype=np.int64)
+        self.offsets = np.cumsum(counts, dtype=relation.key_dtype)
         self._built = self._state()
         structure_changed()
 

@@ -36,6 +36,7 @@ def index_keys(index: Field, keys: Array, rows: Array | None) -> None:
     grouping, target = index.grouping, index.target
     assert grouping is not None and target is not None
     order = stable_order(keys)
-    grouping.rows = order if rows is None else rows[order]
+    dtype = index.relation.key_dtype
+    grouping.rows = (order if rows is None else rows[order]).astype(dtype)
     counts = np.bincount(np.add(keys, 1, dtype=np.int64), minlength=target.size + 1)
-    grouping.offsets = np.cumsum(counts, dtype=np.int64)
+    grouping.offsets = np.cumsum(counts, dtype=dtype)

@@ -122,7 +122,7 @@ class Relation:
     @property
     def key_dtype(self) -> np.dtype[Any]:
         """How keys are stored: int32 while all rows can be numbered in it, else int64."""
-        return np.dtype(np.int32 if self.size <= np.iinfo(np.int32).max else np.int64)
+        return self.storage.key_dtype
 
     @property
     def boxes(self) -> tuple[Box, ...] | None:

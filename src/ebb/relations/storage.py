@@ -23,6 +23,7 @@ class Storage:
 
     Attributes:
         size: the number of rows.
+        key_dtype: how rows are numbered: in int32 while it has a number for each, else in int64.
         order: identity by position, or None while every row lies at its identity.
         rank: position by identity, the inverse of ``order``, or None.
         version: counts the permutations; what is derived from positions compares it.
@@ -37,6 +38,7 @@ class Storage:
 
     __slots__ = (
         "compiled",
+        "key_dtype",
         "may_reorder",
         "order",
         "pinned",
@@ -51,8 +53,9 @@ class Storage:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self.order: Rows | None = None
-        self.rank: Rows | None = None
+        self.key_dtype: np.dtype[Any] = np.dtype(np.int32 if size <= np.iinfo(np.int32).max else np.int64)
+        self.order: Array | None = None
+        self.rank: Array | None = None
         self.version = 0
         self.referrers: WeakKeyDictionary[Field, None] = WeakKeyDictionary()
         self.primary: Grouping | None = None
@@ -74,9 +77,9 @@ class Storage:
 
     def reorder(self, order: Rows, moved: Rows) -> None:
         """Records that the row at position ``order[p]`` has moved to ``p``; ``moved`` is the inverse of ``order``."""
-        identities = order.copy() if self.order is None else self.order[order]
-        self.rank = moved if self.rank is None else moved[self.rank]
-        self.order = identities
+        identities = order if self.order is None else self.order[order]
+        ranks = moved if self.rank is None else moved[self.rank]
+        self.order, self.rank = identities.astype(self.key_dtype), ranks.astype(self.key_dtype)
         self.reason = None
         self.version += 1
         structure_changed()

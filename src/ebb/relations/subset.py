@@ -113,7 +113,7 @@ class Subset:
         storage = self.relation.storage
         if self._positions is None or self._version != storage.version:
             identities = self.identities()
-            self._positions = identities if storage.rank is None else np.sort(storage.rank[identities])
+            self._positions = identities if storage.rank is None else np.sort(storage.rank[identities]).astype(np.int64)
             self._version = storage.version
         return self._positions
 

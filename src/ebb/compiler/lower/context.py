@@ -43,6 +43,7 @@ class Context:
         phases: of its fields and globals.
         unchecked: its affine accesses that the launch has checked.
         facts: of the data.
+        updates: how rows reduce into other rows.
         build: where statements go.
         row: the position of the row, set once the loop over rows is open.
         values: the locals that need no variable, by ``uid``.
@@ -59,6 +60,7 @@ class Context:
     phases: PhaseTable
     unchecked: frozenset[kir.Affine]
     facts: Facts
+    updates: lir.Updates = lir.Updates.PLAIN
     build: Builder = field(default_factory=Builder)
     row: lir.Value | None = None
     values: dict[int, Values] = field(default_factory=dict[int, Values])
@@ -97,7 +99,11 @@ class Context:
                 return tuple(self.accumulators.values())[reduction].type, lir.Access.WRITE
             case lir.PrintRecords():
                 return int64, lir.Access.WRITE
-            case lir.GroupOffsets() | lir.GroupRows() | lir.RowOrder() | lir.LaunchPositions():
+            case lir.GroupOffsets(index) | lir.GroupRows(index):
+                return memory_scalar(index.relation.key_type), lir.Access.READ
+            case lir.RowOrder(relation):
+                return memory_scalar(relation.key_type), lir.Access.READ
+            case lir.LaunchPositions():
                 return int64, lir.Access.READ
 
     def argument(self, binding: lir.ArgumentBinding, scalar: ScalarType) -> lir.Value:

@@ -12,7 +12,7 @@ from ebb.compiler.lower.context import Context, value_scalar
 from ebb.compiler.lower.facts import target
 from ebb.compiler.lower.keys import affine, coordinates, identity, part, read_field
 from ebb.compiler.lower.random import draw
-from ebb.types.types import Kind, ScalarType, Type, bool_, int32
+from ebb.types.types import Kind, ScalarType, Type, bool_, int32, int64
 
 
 def lower_expr(ctx: Context, expr: kir.Expr) -> Values:  # noqa: C901 - one case a kind of expression
@@ -79,8 +79,9 @@ def lower_indices(ctx: Context, indices: Sequence[kir.Expr]) -> list[lir.Value]:
 
 def group(ctx: Context, grouped: Any, key: lir.Value) -> tuple[lir.Value, lir.Value]:
     """Where the group of the row at ``key`` starts and stops."""
-    slot = ctx.slot(lir.GroupOffsets(grouped))
-    return ctx.build.load(slot, key), ctx.build.load(slot, ctx.build.add_index(key, 1))
+    b, slot = ctx.build, ctx.slot(lir.GroupOffsets(grouped))
+    bounds = b.load(slot, key), b.load(slot, b.add_index(key, 1))
+    return b.convert(bounds[0], int64), b.convert(bounds[1], int64)
 
 
 def _flat(value: Any) -> list[Any]:

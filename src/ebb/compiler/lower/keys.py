@@ -60,7 +60,7 @@ def identity(ctx: Context, relation: Relation, position: lir.Value) -> lir.Value
     """The number at its creation of the row at ``position``, int64."""
     if relation not in ctx.facts.permuted:
         return position
-    return ctx.build.load(ctx.slot(lir.RowOrder(relation)), position)
+    return ctx.build.convert(ctx.build.load(ctx.slot(lir.RowOrder(relation)), position), int64)
 
 
 # ---- Affine maps ----

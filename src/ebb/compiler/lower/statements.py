@@ -11,6 +11,7 @@ from ebb.compiler.lower.context import Context, memory_scalar, value_scalar
 from ebb.compiler.lower.expressions import group, lower_expr, lower_indices, lower_scalar
 from ebb.compiler.lower.keys import Place, part, place
 from ebb.compiler.lower.sites import AssertSite, StepSite
+from ebb.compiler.phases.table import PhaseKind
 from ebb.types.types import int64, uint64
 
 
@@ -101,9 +102,13 @@ def _reduce_field(ctx: Context, stmt: kir.ReduceField) -> None:
     changed, size = _field_place(ctx, stmt)
     values = lower_expr(ctx, stmt.value)
     slot = ctx.slot(lir.FieldData(stmt.field))
+    atomic = ctx.updates is lir.Updates.ATOMIC and ctx.phases.fields[stmt.field].kind is PhaseKind.REDUCE
     for k in range(size):
         at = changed.component(ctx, k)
-        b.add(lir.Store(slot, at, b.binary(stmt.op.value, b.load(slot, at), values[k])))
+        if atomic:
+            b.add(lir.AtomicUpdate(slot, at, stmt.op.value, values[k]))
+        else:
+            b.add(lir.Store(slot, at, b.binary(stmt.op.value, b.load(slot, at), values[k])))
 
 
 # ---- Loops ----
@@ -192,7 +197,7 @@ def _for_query(ctx: Context, stmt: kir.ForQuery) -> None:
     value: lir.Value = counter
     with b.body() as head:
         if stmt.index in ctx.facts.indirect:
-            value = b.load(ctx.slot(lir.GroupRows(stmt.index)), counter)
+            value = b.convert(b.load(ctx.slot(lir.GroupRows(stmt.index)), counter), int64)
     _counted(ctx, stmt, counter, bounds, head, value)
 
 
