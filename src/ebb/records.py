@@ -96,34 +96,33 @@ def replace(original: T, /, **changes: Any) -> T:
 
 
 def _made(cls: type[Any], frozen: bool, eq: bool) -> type[Any]:
-    own = tuple([name for name, text in cls.__annotations__.items() if not text.startswith("ClassVar")])
     namespace = dict(cls.__dict__)
     # What belongs to the class that is left behind: the new one has slots in their place.
     namespace.pop("__dict__", None)
     namespace.pop("__weakref__", None)
     fields: dict[str, _Field] = dict(getattr(cls, "__record_fields__", ()))
-    for name in own:
-        default = namespace.pop(name, _ABSENT)
-        if default is _ABSENT:
-            fields[name] = _PLAIN
-        else:
-            fields[name] = default if isinstance(default, _Field) else _Field(default, None, shown=True)
+    own: list[str] = []
+    for name, text in cls.__annotations__.items():
+        if text.startswith("ClassVar"):
+            continue
+        own.append(name)
+        default = namespace.pop(name, _PLAIN)
+        fields[name] = default if isinstance(default, _Field) else _Field(default, None, shown=True)
     namespace["__qualname__"] = cls.__qualname__
     namespace["__slots__"] = own
     namespace["__record_fields__"] = fields
-    namespace["__match_args__"] = tuple(fields)
+    namespace["__match_args__"] = names = tuple(fields)
     namespace["__reduce__"] = _reduce
-    namespace.setdefault("__repr__", _representation([name for name in fields if fields[name].shown]))
+    namespace.setdefault("__repr__", _represent)
     if frozen:
-        namespace["__setattr__"] = _refuse_change
-        namespace["__delattr__"] = _refuse_change
+        namespace["__setattr__"] = namespace["__delattr__"] = _refuse_change
     if eq:
-        values = _values_of(tuple(fields))
+        values = _values_of(names)
         namespace["__eq__"] = _equality(values)
         namespace["__hash__"] = _hashing(values) if frozen else None
     metaclass: Any = type(cls)
     new: Any = metaclass(cls.__name__, cls.__bases__, namespace)
-    new.__init__ = _initialiser(new, fields)
+    new.__init__ = _initialiser(new, names, fields)
     return new
 
 
@@ -161,8 +160,7 @@ _INITIALISERS: Any = (
 here so that Python keeps them compiled. Code holds what it closes over in the order of the alphabet."""
 
 
-def _initialiser(cls: type[Any], fields: dict[str, _Field]) -> Callable[..., None]:
-    names = tuple(fields)
+def _initialiser(cls: type[Any], names: tuple[str, ...], fields: dict[str, _Field]) -> Callable[..., None]:
     code = _initialiser_code(len(names))
     made = FunctionType(
         code.replace(co_varnames=("self", *names), co_name="__init__", co_qualname=cls.__qualname__ + ".__init__"),
@@ -171,7 +169,6 @@ def _initialiser(cls: type[Any], fields: dict[str, _Field]) -> Callable[..., Non
         _defaults(cls, fields),
         tuple([CellType(getattr(cls, name).__set__) for name in names]),
     )
-    made.__module__ = cls.__module__
     factories = [(name, field.factory) for name, field in fields.items() if field.factory is not None]
     return _filling(cls, made, factories) if factories else made
 
@@ -208,7 +205,7 @@ def _defaults(cls: type[Any], fields: dict[str, _Field]) -> tuple[Any, ...]:
     """The defaults of the last parameters, ``_ABSENT`` for those that are made by a factory."""
     found: list[Any] = []
     for field in fields.values():
-        if field.default is not _ABSENT or field.factory is not None:
+        if field is not _PLAIN and (field.default is not _ABSENT or field.factory is not None):
             found.append(field.default)
         elif found:
             raise TypeError(f"a field without a default follows one with a default in {cls.__qualname__}")
@@ -239,11 +236,9 @@ def _hashing(values: Callable[[Any], Any]) -> Callable[[Any], int]:
     return __hash__
 
 
-def _representation(shown: list[str]) -> Callable[[Any], str]:
-    def __repr__(self: Any) -> str:  # noqa: N807
-        return f"{type(self).__qualname__}({', '.join([f'{name}={getattr(self, name)!r}' for name in shown])})"
-
-    return __repr__
+def _represent(self: Any) -> str:
+    shown = [name for name, field in self.__record_fields__.items() if field.shown]
+    return f"{type(self).__qualname__}({', '.join([f'{name}={getattr(self, name)!r}' for name in shown])})"
 
 
 def _refuse_change(self: Any, name: str, value: Any = None) -> NoReturn:
