@@ -50,7 +50,7 @@ def test_explain_says_phases_reductions_layout_and_cost():
     assert "edges: rows stored permuted; grouped by edges.tail" in text
     # Own row: q and force once a turn, mass once. Others: 2 offsets, and key and q of the head in each turn.
     assert "120 bytes: 56 read from the own row, 40 from other rows, 24 written" in text
-    assert "13 operations, 0.1 a byte" in text
+    assert "13 operations, 0.11 a byte" in text
 
 
 def test_explain_says_where_rows_run_in_order_and_what_the_stencil_is():
