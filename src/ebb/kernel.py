@@ -138,10 +138,9 @@ class Kernel:
         launch = self._find_launch(rows, self._bind(rows, parameters, named))
         if stage == "kir":
             return kir_print.text(launch.specialisation.checked.kernel)
-        launch.specialisation.refresh()
-        backend = current_backend()
-        text = launch.specialisation.executable(backend).inspect(stage)
+        text = launch.inspect(stage)
         if text is None:
+            backend = current_backend()
             raise KernelTypeError(UnknownStage(self._name, stage, backend.name, ("kir", *backend.stages)))
         return text
 

@@ -137,9 +137,15 @@ class Launch:
 
     def how(self) -> How:
         """How the launch goes on the current backend, for the data as it is."""
-        with launching():
+        with launching(), suspended():
             self.specialisation.refresh()
             return self.specialisation.executable(current_backend()).how(self.rows)
+
+    def inspect(self, stage: str) -> str | None:
+        """The text of a stage that the current backend has beyond KIR, or None."""
+        with launching(), suspended():
+            self.specialisation.refresh()
+            return self.specialisation.executable(current_backend()).inspect(stage)
 
     @property
     def is_decided(self) -> bool:

@@ -408,3 +408,13 @@ def test_keys_are_written_and_looked_up(backend):
     one.run()
     other.run()
     assert nodes.n.to_numpy().tolist() == [0, 2]
+
+
+def test_a_kernel_is_explained_while_it_is_recorded(backend):
+    world = World(20)
+    with ebb.capture() as step:
+        world.gather(world.nodes)
+        world.gather.check(world.nodes)
+        assert "READ" in world.gather.explain(world.nodes)
+        assert world.gather.inspect(world.nodes, "kir")
+    step.run()

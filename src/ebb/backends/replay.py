@@ -71,47 +71,47 @@ class Replay:
         Raises:
             EbbError: an assertion or a check of a kernel failed for some row; what comes after it has not run.
         """
-        if not len(self._table):
-            return
-        held = {field: field.buffer for field in self._numbers}
-        self._buffers[: len(held)] = [buffer.address for buffer in held.values()]
-        by_address = {held[field].address: held[field] for field in self._swapped}
-        self._begin()
-        try:
-            self._run_in_slices(count)
-        finally:
-            for field, number in self._swapped.items():
-                field.buffer = by_address[int(self._buffers[number])]
-            random.go_on_from(int(self._state[DRAWN]))
-
-    def _begin(self) -> None:
-        """Puts in place what may have changed since the last run without a change of the structure."""
-        key = random.present_key()
-        self._state[DRAWN] = key.launch
-        for binding, words in self._launches.values():
-            words[THREADS] = binding.threads()
-            binding.place_key(words, key)
-
-    def _run_in_slices(self, count: int) -> None:
-        while count:
+        while count and len(self._table):
             turns = min(self._slice, count)
-            self._state[RUNS] = turns
             start = perf_counter()
-            try:
-                failed = self._code.run(self._address)
-                failure = self._launches[int(self._state[FAILED])][0].take_failure() if failed else None
-            except BaseException:  # an interrupt: a failure that nobody has seen is none of the next launch
-                for binding, _ in self._launches.values():
-                    binding.forget_failures()
-                raise
-            if failure is not None:
-                raise failure
+            self._run_turns(turns)
             seconds = perf_counter() - start
             count -= turns
             if seconds < SLICE_SECONDS / 4 and turns == self._slice:
                 self._slice *= 2
             elif seconds > SLICE_SECONDS:
                 self._slice = max(1, self._slice // 2)
+
+    def _run_turns(self, turns: int) -> None:
+        """Calls the machine code once. Before and after it fields own their memory, as who interrupts it expects."""
+        held = [field.buffer for field in self._numbers]
+        self._buffers[: len(held)] = [buffer.address for buffer in held]
+        by_address = {held[number].address: held[number] for number in self._swapped.values()}
+        self._begin(turns)
+        failure = None
+        try:
+            if self._code.run(self._address):
+                failure = self._launches[int(self._state[FAILED])][0].take_failure()
+        except BaseException:  # an interrupt: a failure that nobody has seen is none of the next launch
+            for binding, _ in self._launches.values():
+                binding.forget_failures()
+            raise
+        finally:
+            for field, number in self._swapped.items():
+                field.buffer = by_address[int(self._buffers[number])]
+            random.go_on_from(int(self._state[DRAWN]))
+        if failure is not None:
+            raise failure
+
+    def _begin(self, turns: int) -> None:
+        """Puts in place what may have changed since the last call without a change of the structure."""
+        key = random.present_key()
+        self._state[DRAWN] = key.launch
+        self._state[RUNS] = turns
+        for binding, words in self._launches.values():
+            words[THREADS] = binding.threads()
+            if binding.random_words:
+                binding.place_key(words, key)
 
     # ---- The table. ----
 
