@@ -403,3 +403,47 @@ def test_no_rows():
 
     scatter(links)
     assert "row after row" in scatter.explain(links)
+
+
+# ---- Atomic updates ----
+
+
+@pytest.mark.parametrize("op", OPERATORS)
+@pytest.mark.parametrize(
+    "type_", [ebb.int32, ebb.int64, ebb.uint32, ebb.uint64, ebb.bool_, ebb.float32, ebb.float64], ids=repr
+)
+def test_atomic_updates(tangle, op, type_):
+    if (type_ is ebb.bool_ and op not in "&|^") or (type_.dtype.kind == "f" and op in "&|^"):
+        pytest.skip("there is no such reduction")
+    points, links = tangle
+    whole = np.random.default_rng(5).integers(0, 2 if type_ is ebb.bool_ else 3, SIZE)
+    links.new_field("w", type_, init=whole.astype(type_.dtype))
+    points.new_field("r", type_, init=type_.dtype.type(1))
+    change = f"= {op}(k.a.r, k.w)" if op in ("min", "max") else f"{op}= k.w"
+    text = f"def scatter(k: links):\n    k.a.r {change}\n"
+    names = {"ebb": ebb, "links": links}
+    exec(f"@ebb.kernel(source={text!r})\n{text}", names)
+    with ebb.backend("cpu", threads=3, atomics=True):
+        names["scatter"](links)
+        assert "atomically, in any order: the bits depend on the threads" in names["scatter"].explain(links)
+    expected = np.full(points.size, 1, type_.dtype)
+    OPERATORS[op].at(expected, links.a.to_numpy(), links.w.to_numpy())
+    np.testing.assert_array_equal(points.r.to_numpy(), expected)
+
+
+def test_atomic_minima_keep_nan(tangle):
+    points, links = tangle
+    links.x.load(np.where(np.arange(SIZE) == 77, np.float32(np.nan), links.x.to_numpy()))
+
+    @ebb.kernel
+    def scatter(k: links):
+        k.a.sum = min(k.a.sum, k.x)
+
+    with ebb.backend("cpu", threads=2, atomics=True):
+        scatter(links)
+    assert np.flatnonzero(np.isnan(points.sum.to_numpy())).tolist() == [links.a.to_numpy()[77]]
+
+
+def test_atomics_are_on_or_off():
+    with pytest.raises(ebb.BackendError, match="atomics"):
+        ebb.set_backend("cpu", atomics="yes")

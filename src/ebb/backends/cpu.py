@@ -18,7 +18,7 @@ from ebb.compiler import lir, lir_print
 from ebb.compiler.kir_walk import draws
 from ebb.compiler.lower import variable_bytes
 from ebb.compiler.phases.order import InOrder, why_in_order
-from ebb.compiler.scatter.choose import ANY_ORDER, ROW_AFTER_ROW, Plan, Planner, Run
+from ebb.compiler.scatter.choose import ANY_ORDER, ATOMICALLY, ROW_AFTER_ROW, Plan, Planner, Run
 from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.waves import in_order
 from ebb.errors import BackendError
@@ -45,11 +45,13 @@ class CpuBackend:
         device: the processor.
         cache: where object code is kept between processes.
         reorders: whether launches may permute relations so that kernels find rows closer together.
+        updates: how rows reduce into other rows: the bits of atomic sums depend on the threads.
     """
 
     device: CpuDevice
     cache: ObjectCache
     reorders: bool = True
+    updates: lir.Updates = lir.Updates.PLAIN
     name: str = "cpu"
     stages: tuple[str, ...] = tuple(_STAGES)
 
@@ -69,25 +71,28 @@ class CpuBackend:
         return Replay(_replay_code(self.device, self.cache), operations)
 
 
-def cpu_backend(threads: int | None = None, reorder: bool = True) -> CpuBackend:
+def cpu_backend(threads: int | None = None, reorder: bool = True, atomics: bool = False) -> CpuBackend:
     """The backend ``cpu``.
 
     Args:
         threads: how many threads a launch may use; ``EBB_NUM_THREADS`` or all cores by default.
         reorder: whether launches may permute relations so that kernels find rows closer together.
+        atomics: whether reductions into other rows are atomic updates, whose bits depend on the threads.
 
     Raises:
-        BackendError: ``threads`` is no number of threads, or ``reorder`` no bool.
+        BackendError: ``threads`` is no number of threads, or ``reorder`` or ``atomics`` no bool.
     """
-    if not isinstance(reorder, bool):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise BackendError(BadSwitch("cpu", "reorder", reorder))
-    return _backend_of(thread_count(threads), cache_directory(), reorder)
+    for option, value in (("reorder", reorder), ("atomics", atomics)):
+        if not isinstance(value, bool):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise BackendError(BadSwitch("cpu", option, value))
+    updates = lir.Updates.ATOMIC if atomics else lir.Updates.PLAIN
+    return _backend_of(thread_count(threads), cache_directory(), reorder, updates)
 
 
 @cache
-def _backend_of(threads: int, directory: Path, reorders: bool) -> CpuBackend:
+def _backend_of(threads: int, directory: Path, reorders: bool, updates: lir.Updates) -> CpuBackend:
     """One for each choice of options, so that a kernel that meets it again is compiled."""
-    return CpuBackend(CpuDevice(threads), ObjectCache(directory), reorders)
+    return CpuBackend(CpuDevice(threads), ObjectCache(directory), reorders, updates)
 
 
 @cache
@@ -136,6 +141,8 @@ class CpuExecutable:
                 waves = in_order(len(block_starts(rows)) - 1)
                 order = f"one after the other, {InOrder.PRINTS.value}"
                 return Plan((Run(self._step, rows, waves),), ROW_AFTER_ROW, order, ())
+            case InOrder.SHARED_SUMS if self._backend.updates is lir.Updates.ATOMIC:
+                return Plan((Run(self._step, rows, None),), ATOMICALLY, ANY_ORDER, ())
             case InOrder.SHARED_SUMS:
                 planner = self._planners.get(rows)
                 if planner is None:
@@ -164,5 +171,7 @@ class CpuExecutable:
         code = self._codes.get(step)
         if code is None:
             precision = lir.Precision.FAST if self._checked.hints.fastmath else lir.Precision.CONTRACT
-            code = self._codes[step] = KernelCode(step, precision, self._backend.device, self._backend.cache)
+            code = self._codes[step] = KernelCode(
+                step, precision, self._backend.updates, self._backend.device, self._backend.cache
+            )
         return code

@@ -22,9 +22,12 @@ from ebb.runtime.cpu import CpuCode, CpuDevice
 class KernelCode:
     """One kernel on the processor."""
 
-    def __init__(self, step: Step, precision: lir.Precision, device: CpuDevice, cache: ObjectCache) -> None:
+    def __init__(
+        self, step: Step, precision: lir.Precision, updates: lir.Updates, device: CpuDevice, cache: ObjectCache
+    ) -> None:
         self._step = step
         self._precision = precision
+        self._updates = updates
         self._device = device
         self._cache = cache
         self._sources = sources_of(step.kernel)
@@ -63,7 +66,8 @@ class KernelCode:
 
     def _lower(self, launched: Launched, state: State) -> lir.Program:
         step = self._step
-        return lower(step.kernel, step.phases, step.unchecked, self._sources.facts(state), launched, self._precision)
+        facts = self._sources.facts(state)
+        return lower(step.kernel, step.phases, step.unchecked, facts, launched, self._precision, self._updates)
 
 
 class Bindings:

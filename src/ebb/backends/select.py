@@ -24,7 +24,7 @@ def _reference_backend() -> Backend:
 
 #: How to make each backend, and the options that it takes.
 BACKENDS: Mapping[str, tuple[Callable[..., Backend], tuple[str, ...]]] = {
-    "cpu": (cpu_backend, ("threads", "reorder")),
+    "cpu": (cpu_backend, ("threads", "reorder", "atomics")),
     "reference": (_reference_backend, ()),
 }
 
@@ -44,8 +44,9 @@ def set_backend(name: str, **options: Any) -> None:
 
     Args:
         name: ``"cpu"`` or ``"reference"``.
-        **options: for cpu ``threads=``, the number of threads, ``EBB_NUM_THREADS`` or all cores by default; and
-            ``reorder=False``, so that launches leave the rows of relations where they are.
+        **options: for cpu ``threads=``, the number of threads, ``EBB_NUM_THREADS`` or all cores by default;
+            ``reorder=False``, so that launches leave the rows of relations where they are; and ``atomics=True``, so
+            that reductions into other rows are atomic updates: then the bits of sums depend on the threads.
 
     Raises:
         BackendError: there is no such backend, it does not take an option, or this machine lacks what it needs.

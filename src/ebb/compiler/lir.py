@@ -302,6 +302,16 @@ class Store:
 
 
 @record
+class AtomicUpdate:
+    """``slot[index] = slot[index] op value`` at once, whatever other rows do meanwhile."""
+
+    slot: Slot
+    index: Value
+    op: str
+    value: Value
+
+
+@record
 class Accumulate:
     """``var[index] = var[index] op value``, in any order and grouping of the values that a block accumulates."""
 
@@ -397,8 +407,9 @@ class Print:
 
 
 Stmt: TypeAlias = (
-    Let | Declare | StoreVar | Store | Accumulate | If | For | While | Block | Leave | RowLoop | Fail | Print
-)
+    Let | Declare | StoreVar | Store | AtomicUpdate | Accumulate | If | For | While | Block | Leave | RowLoop | Fail
+    | Print
+)  # fmt: skip
 
 # ---- Programs. ----
 
@@ -419,6 +430,13 @@ class Precision(Enum):
 
     CONTRACT = "contract"
     FAST = "fast"
+
+
+class Updates(Enum):
+    """How rows reduce into other rows: plainly, by a schedule that keeps them apart, or atomically."""
+
+    PLAIN = "plain"
+    ATOMIC = "atomic"
 
 
 PAYLOAD_WORDS = 8

@@ -85,6 +85,8 @@ def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind
             yield f"{_var(var)}[{value(index)}] = {value(stored)}"
         case lir.Store(slot, index, stored):
             yield f"s{slot.number}[{value(index)}] = {value(stored)}"
+        case lir.AtomicUpdate(slot, index, op, added):
+            yield f"atomic s{slot.number}[{value(index)}] {op} {value(added)}"
         case lir.Accumulate(var, index, op, added):
             yield f"accumulate {_var(var)}[{value(index)}] {op} {value(added)}"
         case lir.If(condition, then, orelse):

@@ -68,7 +68,7 @@ class _Checker:
             case lir.StoreVar(var, index, value) | lir.Accumulate(var, index, _, value):
                 self.var(var, index)
                 self.typed(value, var.type)
-            case lir.Store(slot, index, value):
+            case lir.Store(slot, index, value) | lir.AtomicUpdate(slot, index, _, value):
                 self.slot(slot, index, lir.Access.WRITE)
                 self.typed(value, slot.type)
             case lir.If(condition, then, orelse):

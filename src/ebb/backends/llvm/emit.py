@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ebb.backends.llvm import ops
+from ebb.backends.llvm import atomics, ops
 from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entries
 from ebb.backends.llvm.hooks import Hooks, Strips
 from ebb.backends.llvm.lanes import Flags, emit_strips
@@ -149,6 +149,8 @@ class _Emitter:
                 self.store_var(var, self.value(index), self.value(value))
             case lir.Store(slot, index, value):
                 self.store(slot, self.value(index), self.value(value))
+            case lir.AtomicUpdate(slot, index, op, value):
+                atomics.update(self.w, op, slot.type, self.element(slot, self.value(index)), self.value(value))
             case lir.Accumulate():
                 self.add_to(stmt.var, self.value(stmt.index), stmt.op, self.value(stmt.value))
             case lir.If():

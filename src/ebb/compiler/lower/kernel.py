@@ -12,7 +12,7 @@ from ebb.compiler.lower.facts import Facts
 from ebb.compiler.lower.keys import linear
 from ebb.compiler.lower.reductions import combine_partials, open_accumulators, reduced_globals, store_partials
 from ebb.compiler.lower.statements import bind, lower_body
-from ebb.compiler.phases.order import why_in_order
+from ebb.compiler.phases.order import InOrder, why_in_order
 from ebb.compiler.phases.table import PhaseTable
 from ebb.types.types import int64, uint64
 
@@ -24,6 +24,7 @@ def lower(
     facts: Facts,
     launched: Launched,
     precision: lir.Precision,
+    updates: lir.Updates = lir.Updates.PLAIN,
 ) -> lir.Program:
     """``kernel`` as LIR.
 
@@ -34,9 +35,12 @@ def lower(
         facts: what holds of the data whenever the program runs.
         launched: how the rows of the launches are given.
         precision: what the optimiser may do to floats.
+        updates: how rows reduce into other rows.
     """
-    ctx = Context(kernel, phases, frozenset(unchecked), facts)
-    rows = lir.Rows.INDEPENDENT if why_in_order(kernel, phases) is None else lir.Rows.IN_ORDER
+    ctx = Context(kernel, phases, frozenset(unchecked), facts, updates)
+    why = why_in_order(kernel, phases)
+    apart = why is None or (why is InOrder.SHARED_SUMS and updates is lir.Updates.ATOMIC)
+    rows = lir.Rows.INDEPENDENT if apart else lir.Rows.IN_ORDER
     reduced = reduced_globals(kernel)
     block_number = ctx.build.temp(int64)
     dimensions = kernel.relation.ndim if launched is Launched.BOXES else 1

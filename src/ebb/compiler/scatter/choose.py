@@ -40,6 +40,8 @@ ANY_ORDER = "any: blocks of rows run on all threads"
 
 ROW_AFTER_ROW = "into other rows: row after row in storage order, on one thread"
 
+ATOMICALLY = "into other rows, atomically, in any order: the bits depend on the threads"
+
 CLEAR = 1.25
 """How much quicker than in row order, on ``WIDTH`` threads, a way must be to be taken."""
 
