@@ -207,22 +207,24 @@ def _improve(route: Route) -> None:
 
 
 def _candidates(route: Route, before: Spread) -> Iterator[Candidate]:
-    columns = route.columns
-    if route.source is not route.target and _is_free(route.source):
-        order = stable_order(_least(columns, route.target.size))
+    """The rows that hold the keys sorted by them; the target by its links; the target as it is reached."""
+    source, target, columns = route.source, route.target, route.columns
+    if _is_free(source) and source not in _chain(target):
+        order = stable_order(_least(columns, target.size))
         kind = f"sorted by {', '.join([key.name for key in route.keys])}"
-        yield Candidate(route.source, order, kind, before, spread_of_keys(route.placed, columns, order))
-    *grouped, root = _chain(route.target)
-    graph = _graph(root, [_keys_into(root, grouped[-1] if grouped else route.source)])
-    if _is_free(root) and graph.neighbours.size:
-        order, placed = cuthill_mckee(graph), Placed(root.size, route.width)
-        if grouped:
-            before = spread_of_links(placed, graph, np.arange(root.size))
-        yield Candidate(root, order, "permuted", before, spread_of_links(placed, graph, order))
-    if _is_free(route.target) and route.target is not route.source and route.target is not _root(route.source):
-        order = _as_first_reached(columns, route.target.size)
+        yield Candidate(source, order, kind, before, spread_of_keys(route.placed, columns, order))
+    *grouped, root = _chain(target)
+    if _is_free(root):
+        graph = _graph(root, [_keys_into(root, grouped[-1] if grouped else source)])
+        if graph.neighbours.size:
+            order, placed = cuthill_mckee(graph), Placed(root.size, route.width)
+            if grouped:
+                before = spread_of_links(placed, graph, np.arange(root.size))
+            yield Candidate(root, order, "permuted", before, spread_of_links(placed, graph, order))
+    if _is_free(target) and target not in _chain(source):
+        order = _as_first_reached(columns, target.size)
         after = spread_of_keys(route.placed, columns, moved=inverse(order))
-        yield Candidate(route.target, order, f"in the order of {route.source.name}", before, after)
+        yield Candidate(target, order, f"in the order of {source.name}", before, after)
 
 
 def _order_of(relation: Relation) -> Rows | None:

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 Rows = npt.NDArray[np.int64]
 
+MOST_PATIENCE = 1 << 16
+"""How many times keys that keep changing must be met unchanged before the order of rows is decided by them."""
+
 
 class Storage:
     """The order in which the rows of one relation are stored, and who must know when it changes.
@@ -91,7 +94,7 @@ class Watch:
     Attributes:
         version: the version of the field that is watched.
         calm: how many times it has been met again since.
-        patience: how many times it must be, before anything is decided. It doubles each time that the keys change.
+        patience: how many times it must be, before anything is decided. It doubles when the keys change, up to a limit.
         width: the widest rows for which has been decided whether they should lie in another order; 0 at first.
     """
 
@@ -107,7 +110,7 @@ class Watch:
         """The keys have changed."""
         self.version = version
         self.calm = 0
-        self.patience *= 2
+        self.patience = min(2 * self.patience, MOST_PATIENCE)
         self.width = 0
 
 
