@@ -9,9 +9,11 @@ import llvmlite
 import llvmlite.binding as llvm
 
 from ebb.backends.llvm.hooks import Hooks, cpu_hooks
+from ebb.backends.llvm.vector_math import VERSIONS
 from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.errors import NoMachineCode
+from ebb.runtime.symbols import libmvec_versions
 
 
 @record(eq=False)
@@ -22,12 +24,14 @@ class Target:
         triple: LLVM's name of the kind of machine.
         cpu: LLVM's name of the processor.
         features: the instruction sets that may be used, as LLVM spells them.
+        vector_math: the versions of the library of vector functions that this process has.
         hooks: what the emitter needs to know.
     """
 
     triple: str
     cpu: str
     features: str
+    vector_math: tuple[tuple[int, int], ...]
     hooks: Hooks
 
     @property
@@ -43,7 +47,8 @@ class Target:
     def fingerprint(self) -> str:
         """All that the object code depends on beside the program."""
         version = ".".join(map(str, llvm.llvm_version_info))
-        return f"{self.triple} {self.cpu} {self.features} llvmlite {llvmlite.__version__} llvm {version}"
+        libraries = f"llvmlite {llvmlite.__version__} llvm {version} libmvec {self.vector_math}"
+        return f"{self.triple} {self.cpu} {self.features} {libraries}"
 
 
 _TUNING = {"znver": "+prefer-no-gather,+prefer-no-scatter"}
@@ -67,7 +72,8 @@ def host() -> Target:
     except RuntimeError as error:
         raise BackendError(NoMachineCode(triple, str(error))) from error
     tuned = [tuning for family, tuning in _TUNING.items() if cpu.startswith(family)]
-    return Target(triple, cpu, ",".join((features, *tuned)), cpu_hooks(features))
+    vector_math = tuple(libmvec_versions(VERSIONS)) if triple.startswith("x86_64") else ()
+    return Target(triple, cpu, ",".join((features, *tuned)), vector_math, cpu_hooks(features, vector_math))
 
 
 @cache

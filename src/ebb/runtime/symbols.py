@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from functools import cache
 
 import llvmlite.binding as llvm
@@ -20,6 +21,25 @@ _MEMORY = ("memcpy", "memmove", "memset")
 _NAMES = (*_MEMORY, *(name + suffix for name in _MATH for suffix in ("", "f")))
 
 
+_VECTOR_NAME = re.compile(rb"_ZGV[bde]N\d+v+_\w+")
+
+
+def libmvec_versions(marks: Mapping[tuple[int, int], str]) -> Iterator[tuple[int, int]]:
+    """The versions of glibc's vector functions that this process has: those whose mark is among its symbols."""
+    library = _libmvec()
+    for version, symbol in marks.items():
+        if getattr(library, symbol, None) is not None:
+            yield version
+
+
+@cache
+def _libmvec() -> ctypes.CDLL | None:
+    try:
+        return ctypes.CDLL("libmvec.so.1")
+    except OSError:
+        return None
+
+
 def external_symbols(image: bytes) -> Mapping[str, int]:
     """The addresses of the functions that the object code ``image`` may call, by the names under which it does.
 
@@ -27,6 +47,7 @@ def external_symbols(image: bytes) -> Mapping[str, int]:
     """
     # The names stand in the object's table of strings, where "sin" may be the end of "asin": rather one too many.
     named = [name for name in _NAMES if name.encode() + b"\0" in image]
+    named += sorted({name.decode() for name in _VECTOR_NAME.findall(image)})
     found = {name: _address(name) for name in named}
     return {name: address for name, address in found.items() if address is not None}
 
@@ -36,7 +57,7 @@ def _address(name: str) -> int | None:
     address: int | None = llvm.address_of_symbol(name)
     if address is not None:
         return address
-    for library in _libraries():
+    for library in (_libmvec(),) if name.startswith("_ZGV") else _libraries():
         function = getattr(library, name, None)
         if function is not None:
             return ctypes.cast(function, ctypes.c_void_p).value

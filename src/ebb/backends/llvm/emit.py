@@ -12,7 +12,9 @@ from ebb.backends.llvm import atomics, ops
 from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entries
 from ebb.backends.llvm.hooks import Hooks, Strips
 from ebb.backends.llvm.lanes import Flags, emit_strips
-from ebb.backends.llvm.strips import plan_strips, variable_reads
+from ebb.backends.llvm.strides import is_unit
+from ebb.backends.llvm.strips import plan_strips, statements, variable_reads
+from ebb.backends.llvm.vector_math import VectorForms
 from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
 from ebb.runtime.cpu import PAYLOAD_START
@@ -28,6 +30,9 @@ _SUM_FLAGS = {
 
 _AS_IT_IS = ('!"llvm.loop.isvectorized", i32 1', '!"llvm.loop.unroll.disable"')
 """What tells LLVM to leave a loop alone: that it is vectorised, and that it is not to be unrolled."""
+
+_WHOLE = '!{{!"llvm.loop.vectorize.predicate.enable", i1 true}}'
+"""What makes LLVM mask the rows beyond the last whole vector instead of running them one by one."""
 
 
 def emit(program: lir.Program, hooks: Hooks) -> str:
@@ -68,6 +73,7 @@ class _Emitter:
         self.w = FunctionWriter(module)
         self.flags = _FLAGS[program.precision]
         self.sum_flags = _SUM_FLAGS[program.precision]
+        self.forms: VectorForms = {}
         self.variable_reads = variable_reads((*program.block, *program.finish))
         self.temps: dict[int, str] = {program.block_number.number: "%block"}
         self.vars: dict[int, str] = {}
@@ -107,7 +113,8 @@ class _Emitter:
             case lir.Convert(operand):
                 return ops.convert(w, operand.type, result.type, value(operand))
             case lir.Math(function, operands):
-                return ops.math(w, function, result.type, tuple(value(x) for x in operands), self.flags)
+                forms = self.forms.get((function, result.type.bits), ())
+                return ops.math(w, function, result.type, tuple(value(x) for x in operands), self.flags, forms)
             case lir.Load(slot, index):
                 return self.load(slot, value(index))
             case lir.LoadVar(var, index):
@@ -226,7 +233,7 @@ class _Emitter:
         """In strips where the order of the turns means nothing, the target is for it, and the body is fit."""
         plan = None
         if stmt.turns is lir.Turns.ANY_ORDER and self.module.hooks.strips is Strips.MASKED:
-            plan = plan_strips(stmt, self.variable_reads)
+            plan = plan_strips(stmt, self.variable_reads, self.module.hooks.vector_math)
         if plan is None:
             self.count(stmt.counter, self.value(stmt.start), self.value(stmt.stop), stmt.body)
             return
@@ -258,9 +265,25 @@ class _Emitter:
         if stmt.rows is lir.Rows.INDEPENDENT:
             self.access_group = self.module.note("distinct !{{}}")
             parallel = self.module.note(f'!{{{{!"llvm.loop.parallel_accesses", {self.access_group}}}}}')
-            metadata = f", !llvm.loop {self.module.note(f'distinct !{{{{{{self}}, {parallel}}}}}')}"
+            folded = f", {self.module.note(_WHOLE)}" if self.vector_math(stmt) else ""
+            metadata = f", !llvm.loop {self.module.note(f'distinct !{{{{{{self}}, {parallel}{folded}}}}}')}"
         self.row_nest(stmt.index, 0, stmt.body, metadata)
         self.access_group = None
+
+    def vector_math(self, loop: lir.RowLoop) -> bool:
+        """Whether the rows of ``loop`` beyond the last whole vector are masked, as functions with vector forms want it.
+
+        Otherwise scalar functions run there, which may round otherwise; random numbers must not depend on that.
+        """
+        whole = is_unit(loop)
+        draws = any(isinstance(argument.binding, lir.RandomWord) for argument in self.program.arguments)
+        self.forms = self.module.hooks.vector_math if whole or not draws else {}
+        called = (
+            (stmt.operation.function, stmt.temp.type.bits) in self.forms
+            for stmt in statements(loop.body)
+            if isinstance(stmt, lir.Let) and isinstance(stmt.operation, lir.Math)
+        )
+        return whole and any(called)
 
     def row_nest(self, index: Sequence[lir.Temp], d: int, body: lir.Body, metadata: str) -> None:
         """The loops over the dimensions from ``d`` on; the innermost one has the metadata."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import Enum
 
+from ebb.backends.llvm.vector_math import VectorForms, vector_forms
 from ebb.records import record, replace
 
 _INTRINSICS = (
@@ -32,12 +33,14 @@ class Hooks:
             or ``f64``, ``{suffix}`` for C's ``f`` or nothing.
         attributes: the attributes of the functions that loop over rows.
         strips: which loops run in strips.
+        vector_math: the functions that the target has for several values at once.
     """
 
     name: str
     math: Mapping[str, str]
     attributes: str
     strips: Strips
+    vector_math: VectorForms
 
 
 CPU = Hooks(
@@ -47,13 +50,19 @@ CPU = Hooks(
     | {name: f"{name}{{suffix}}" for name in _LIBM},
     attributes='nounwind "prefer-vector-width"="512" "no-trapping-math"="true"',
     strips=Strips.NONE,
+    vector_math={},
 )
 
 STRIPS_FEATURE = "+avx2"
 """What a processor must have for strips to be quicker than plain loops."""
 
 
-def cpu_hooks(features: str) -> Hooks:
-    """The hooks of a processor with ``features``, as LLVM spells them."""
+def cpu_hooks(features: str, vector_math: Iterable[tuple[int, int]]) -> Hooks:
+    """The hooks of a processor.
+
+    Args:
+        features: what it has, as LLVM spells it.
+        vector_math: the versions of the library of vector functions that are there.
+    """
     strips = Strips.MASKED if STRIPS_FEATURE in features.split(",") else Strips.NONE
-    return replace(CPU, strips=strips)
+    return replace(CPU, strips=strips, vector_math=vector_forms(features, vector_math))

@@ -130,7 +130,12 @@ class LaneWriter:
         return self.w.emit(f"{ops.conversion(source, target)} {s} {x} to {t}")
 
     def math(self, function: str, scalar: ScalarType, operands: Sequence[str]) -> str:
-        """A function of ``strips.LANE_MATH``."""
+        """A function of ``lir.MATH``: an intrinsic, or one that the target has for all lanes."""
+        for form in self.w.hooks.vector_math.get((function, scalar.bits), ()):
+            if form.lanes == LANES:
+                t = wide_type(scalar)
+                self.w.declare(f"{t} @{form.symbol}({', '.join([t] * len(operands))}){ops.PURE}")
+                return self.w.emit(f"call{self.flags} {t} @{form.symbol}({', '.join(f'{t} {x}' for x in operands)})")
         return self.call(self.w.hooks.math[function].removesuffix(".{type}"), scalar, operands, self.flags)
 
     def call(self, intrinsic: str, scalar: ScalarType, operands: Sequence[str], flags: str) -> str:

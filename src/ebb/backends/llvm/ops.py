@@ -6,10 +6,11 @@ Every sequence here is total: no operand makes it undefined, so no kernel can tr
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ebb.backends.llvm.hooks import Hooks
+from ebb.backends.llvm.vector_math import VectorForm
 from ebb.types.types import Kind, ScalarType
 
 
@@ -29,9 +30,17 @@ class Writer(Protocol):
         """Makes the module declare an external function."""
         ...
 
+    def keep(self, signature: str, name: str) -> None:
+        """Makes the module declare an external function that LLVM may come to call."""
+        ...
+
     def define(self, name: str, text: str) -> None:
         """Makes the module define a function of its own."""
         ...
+
+
+PURE = " nounwind willreturn memory(none)"
+"""The attributes of a function that depends on its operands alone and does nothing else."""
 
 
 def llvm_type(scalar: ScalarType) -> str:
@@ -312,17 +321,29 @@ def to_word(w: Writer, scalar: ScalarType, x: str) -> str:
 # ---- Functions. ----
 
 
-def math(w: Writer, function: str, scalar: ScalarType, operands: tuple[str, ...], flags: str) -> str:
-    """A function of ``lir.MATH``."""
+def math(
+    w: Writer,
+    function: str,
+    scalar: ScalarType,
+    operands: tuple[str, ...],
+    flags: str,
+    forms: Sequence[VectorForm] = (),
+) -> str:
+    """A function of ``lir.MATH``, which LLVM may call in one of ``forms`` for several values at once."""
     t = llvm_type(scalar)
     if function == "fmod":
         return w.emit(f"frem{flags} {t} {operands[0]}, {operands[1]}")
     if function == "ipow":
         return _integer_power(w, scalar, operands)
     name = w.hooks.math[function].format(type=_suffix(scalar), suffix="f" if scalar.bits == 32 else "")
-    pure = "" if name.startswith("llvm.") else " nounwind willreturn memory(none)"
+    pure = "" if name.startswith("llvm.") else PURE
     w.declare(f"{t} @{name}({', '.join([t] * len(operands))}){pure}")
-    return w.emit(f"call{flags} {t} @{name}({', '.join(f'{t} {x}' for x in operands)})")
+    for form in forms:
+        wide = f"<{form.lanes} x {t}>"
+        w.keep(f"{wide} @{form.symbol}({', '.join([wide] * form.operands)}){PURE}", form.symbol)
+    variants = ",".join(form.variant(name) for form in forms)
+    attribute = f' "vector-function-abi-variant"="{variants}"' if forms else ""
+    return w.emit(f"call{flags} {t} @{name}({', '.join(f'{t} {x}' for x in operands)}){attribute}")
 
 
 def _integer_power(w: Writer, scalar: ScalarType, operands: tuple[str, ...]) -> str:

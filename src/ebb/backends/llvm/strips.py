@@ -11,6 +11,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import TypeAlias
 
+from ebb.backends.llvm.transpose import LANES
+from ebb.backends.llvm.vector_math import VectorForms
 from ebb.compiler import lir
 from ebb.records import record
 from ebb.types.types import Kind
@@ -97,15 +99,16 @@ class _Unfit(Exception):  # noqa: N818 - no error: the loop is taken as it is
     """The loop cannot run in strips."""
 
 
-def plan_strips(loop: lir.For, reads: Mapping[int, int]) -> Plan | None:
+def plan_strips(loop: lir.For, reads: Mapping[int, int], vector_math: VectorForms) -> Plan | None:
     """How ``loop`` runs in strips, or None where it cannot.
 
     Args:
         loop: a loop whose turns may run in any order.
         reads: how often the program reads each variable, by number, this loop included.
+        vector_math: the functions that the target has for several values at once.
     """
     try:
-        return _Planner(loop, reads).plan
+        return _Planner(loop, reads, vector_math).plan
     except _Unfit:
         return None
 
@@ -177,8 +180,8 @@ def split(plan_: Plan, index: lir.Value) -> tuple[lir.Value, int]:
 class _Planner:
     """Makes the plan of one loop."""
 
-    def __init__(self, loop: lir.For, reads: Mapping[int, int]) -> None:
-        self.loop = loop
+    def __init__(self, loop: lir.For, reads: Mapping[int, int], vector_math: VectorForms) -> None:
+        self.loop, self.vector_math = loop, vector_math
         self.plan = Plan()
         lets = [stmt for stmt in statements(loop.body) if isinstance(stmt, lir.Let)]
         self.plan.definitions = {let.temp.number: let.operation for let in lets}
@@ -332,7 +335,8 @@ class _Planner:
             case lir.Binary(op, _, _):
                 self.demand(op in _LANE_BINARY and (op != "/" or temp.type.kind is Kind.FLOAT))
             case lir.Math(function, _):
-                self.demand(function in LANE_MATH)
+                forms = self.vector_math.get((function, temp.type.bits), ())
+                self.demand(function in LANE_MATH or any(form.lanes == LANES for form in forms))
             case _:
                 pass
 

@@ -14,6 +14,7 @@ class ModuleWriter:
         self.declarations: dict[str, None] = {}
         self.definitions: dict[str, str] = {}
         self.metadata: list[str] = []
+        self.kept: dict[str, None] = {}
 
     def note(self, text: str) -> str:
         """Appends a metadata node and returns its name; ``{self}`` in ``text`` stands for the name."""
@@ -24,6 +25,11 @@ class ModuleWriter:
     def text(self) -> str:
         """The module as LLVM assembly."""
         declared = [f"declare {signature}" for signature in self.declarations]
+        if self.kept:
+            names = ", ".join(f"ptr @{name}" for name in self.kept)
+            declared.append(
+                f'@llvm.compiler.used = appending global [{len(self.kept)} x ptr] [{names}], section "llvm.metadata"'
+            )
         parts = [*declared, *self.definitions.values(), *self.functions, *self.metadata]
         return "\n".join(parts) + "\n"
 
@@ -63,6 +69,11 @@ class FunctionWriter:
     def declare(self, signature: str) -> None:
         """Makes the module declare an external function."""
         self.module.declarations[signature] = None
+
+    def keep(self, signature: str, name: str) -> None:
+        """Makes the module declare an external function that LLVM may come to call."""
+        self.declare(signature)
+        self.module.kept[name] = None
 
     def define(self, name: str, text: str) -> None:
         """Makes the module define a function of its own."""
