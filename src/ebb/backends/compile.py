@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any
 
 import ebb.backends.llvm as emitter
+from ebb.backends import target as targets
 from ebb.backends.cache import ObjectCache, key_of
 from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify
@@ -83,10 +84,10 @@ def _module(program: lir.Program, target: Target) -> Any:
 
 @cache
 def _emitter_version() -> str:
-    """A hash of the sources that make LLVM IR of LIR, so that code of another version is never taken for ours."""
+    """A hash of the sources that make machine code of LIR, so that code of another version is never taken for ours."""
     folder = next(iter(emitter.__path__))
     sources = sorted(os.path.join(folder, name) for name in os.listdir(folder) if name.endswith(".py"))
-    sources += [str(module.__file__) for module in (lir, cpu, replay)]
+    sources += [str(module.__file__) for module in (lir, cpu, replay, targets)]
     return key_of(*map(_text, sources))
 
 
