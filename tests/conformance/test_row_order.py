@@ -285,6 +285,35 @@ def test_results_are_the_same_bits_in_any_order(as_created, threads, reorder):
     assert_same(results(threads, reorder), as_created)
 
 
+def scattered(threads, reorder):
+    """What edges add to both of their ends, in four launches, before and after the rows have moved."""
+    with ebb.backend("cpu", threads=threads, reorder=reorder):
+        vertices, edges = lattice(grouped=False)
+        vertices.new_field("n", ebb.int32)
+        scatter = kernel_of(
+            """
+            dq = e.head.q - e.tail.q
+            e.head.force -= e.length * dq
+            e.tail.force += e.length * dq
+            e.tail.n += 1
+            e.head.n += 2
+            """,
+            "e: edges",
+            edges=edges,
+        )
+        launched(scatter, edges)
+        assert is_permuted(vertices, edges) == [reorder, reorder]
+        return values(vertices)
+
+
+def test_scattered_sums_are_the_same_bits_for_any_number_of_threads():
+    one = scattered(1, reorder=True)
+    for threads in (2, 3, 7):
+        assert_same(scattered(threads, reorder=True), one)
+    for found, expected in zip(one, scattered(2, reorder=False), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
 # ---- When it is asked for ----
 
 
