@@ -17,9 +17,10 @@ _MATH = (
 )  # fmt: skip
 _MEMORY = ("memcpy", "memmove", "memset")
 
-
-_NAMES = (*_MEMORY, *(name + suffix for name in _MATH for suffix in ("", "f")))
-
+_NAMES = {
+    name: name.encode() + b"\0" for name in (*_MEMORY, *(each + suffix for each in _MATH for suffix in ("", "f")))
+}
+"""The names of the functions, as they end in object code."""
 
 _VECTOR_NAME = re.compile(rb"_ZGV[bde]N\d+v+_\w+")
 
@@ -46,7 +47,7 @@ def external_symbols(image: bytes) -> Mapping[str, int]:
     Looking up all of them, and handing each to the linker, would take longer than all else of a launch from the cache.
     """
     # The names stand in the object's table of strings, where "sin" may be the end of "asin": rather one too many.
-    named = [name for name in _NAMES if name.encode() + b"\0" in image]
+    named = [name for name, ended in _NAMES.items() if ended in image]
     named += sorted({name.decode() for name in _VECTOR_NAME.findall(image)})
     found = {name: _address(name) for name in named}
     return {name: address for name, address in found.items() if address is not None}
