@@ -48,7 +48,7 @@ class Cost:
     def nanoseconds(self) -> float:
         """About what a row takes on one thread, from the nearer caches: good to a factor of three or so."""
         near, far = self.own_bytes + self.written_bytes, self.other_bytes
-        return 0.01 * near + 0.05 * far + 0.04 * self.operations + 2.0 * self.series
+        return 0.01 * near + 0.05 * far + 0.04 * self.operations + 0.5 * self.series
 
     def plus(self, other: Cost, times: float = 1.0) -> Cost:
         """The cost of this, and ``times`` turns of ``other``."""
