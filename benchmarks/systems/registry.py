@@ -43,8 +43,10 @@ def environment(system: str, threads: int, cache: Path) -> dict[str, str]:
     """The variables of a worker's process: its threads, and folders for compiled code that no other run uses."""
     root = str(Path(__file__).parents[2])
     path = os.environ.get("PYTHONPATH")
+    inherited = dict(os.environ)
+    inherited.pop("PYTHONDONTWRITEBYTECODE", None)  # Python keeps modules of the peers compiled, and shall keep ours
     return {
-        **os.environ,
+        **inherited,
         "PYTHONPATH": f"{root}{os.pathsep}{path}" if path else root,
         "BENCHMARKS_SYSTEM": system,
         "BENCHMARKS_THREADS": str(threads),
