@@ -107,7 +107,7 @@ class Step:
     def _prepare(self) -> None:
         """Has the backend make a program of the step, if it can and the data allow it."""
         self._replay = None
-        settled = self._settle()
+        epoch, settled = self._settle()
         for each in self._recorded:
             if isinstance(each, SwapFields):
                 each.left.check_no_view()
@@ -115,18 +115,18 @@ class Step:
                 settled = settled and _are_alike(each.left, each.right)
         if settled:
             self._replay = current_backend().replay([self._bound(each) for each in self._recorded])
-        self._epoch = structure.epoch
+        self._epoch = epoch
 
-    def _settle(self) -> bool:
-        """Settles the launches until they stay as they are together; False where they do not."""
+    def _settle(self) -> tuple[object, bool]:
+        """Settles the launches until none disturbs another; the epoch of that, and whether it came to it."""
         launches = list(dict.fromkeys([each.launch for each in self._recorded if isinstance(each, _Launched)]))
         for _ in range(MOST_PASSES):
             epoch = structure.epoch
             for launch in launches:
                 launch.settle(self._changing)
             if structure.epoch is epoch and all([launch.is_decided for launch in launches]):
-                return True
-        return False
+                return epoch, True
+        return structure.epoch, False
 
     def _bound(self, each: _Recorded) -> RunKernel | SwapFields | SetGlobal:
         if isinstance(each, _Launched):
