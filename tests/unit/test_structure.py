@@ -43,6 +43,7 @@ SLOW = (
     "numpy.ma",
     "concurrent.futures",
     "difflib",
+    "fractions",
     "hashlib",
     "logging",
     "subprocess",

@@ -8,8 +8,7 @@ The reference interpreter (``ebb.backends.reference``) defines what each node me
 from __future__ import annotations
 
 from enum import Enum
-from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ebb.compiler.host import HostValue
 from ebb.diagnostics.span import Span
@@ -18,6 +17,9 @@ from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.relations.relation import Relation
 from ebb.types.types import Type
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 
 class Edge(Enum):
@@ -226,11 +228,15 @@ class Random:
     span: Span
 
 
+Entry: TypeAlias = "Fraction | int"
+"""An entry of an affine map; an int where it is whole."""
+
+
 @record
 class Affine:
     """The row of the grid ``type.target`` at ``floor(matrix @ [*coords(key), 1])``; periodic dimensions wrap."""
 
-    matrix: tuple[tuple[Fraction, ...], ...]
+    matrix: tuple[tuple[Entry, ...], ...]
     key: Expr
     edge: Edge
     type: Type

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from ebb.relations.field import Field
 from ebb.relations.relation import Relation
 from ebb.types.types import KeyType, Kind, ScalarType, VectorType, float64, int32, int64
 
-Matrix = tuple[tuple[Fraction, ...], ...]
+Matrix = tuple[tuple[kir.Entry, ...], ...]
 
 _MOST_UNITS = 1 << 31
 """The most that the factors and the offset of a row may sum to, in units of their common denominator.
@@ -127,7 +127,7 @@ def _rows(ctx: Context, value: Value) -> list[Value] | None:
             return None
 
 
-def _entries(ctx: Context, row: Value) -> tuple[Fraction, ...] | None:
+def _entries(ctx: Context, row: Value) -> tuple[kir.Entry, ...] | None:
     match row:
         case Sequence(elements, _):
             entries = [_entry(ctx, element) for element in elements]
@@ -149,14 +149,14 @@ def _entries(ctx: Context, row: Value) -> tuple[Fraction, ...] | None:
     return exact
 
 
-def _entry(ctx: Context, value: Value) -> Fraction | None:
+def _entry(ctx: Context, value: Value) -> kir.Entry | None:
     match value:
         case Poison():
             return None
         case Weak(host, number, span):
             ctx.guard_value(host, number)
             return _fraction(ctx, number, span)
-        case Static(Fraction() as number, host, span):
+        case Static(number, host, span) if _is_fraction(number):
             ctx.guard_value(host, number)
             return _fraction(ctx, number, span)
         case Typed(kir.Const(number, ScalarType(), span)):
@@ -168,15 +168,24 @@ def _entry(ctx: Context, value: Value) -> Fraction | None:
             return None
 
 
-def _fraction(ctx: Context, number: Any, span: Span) -> Fraction | None:
-    """``number`` as a fraction: the one of a small denominator that it was rounded from, if there is one."""
+def _fraction(ctx: Context, number: Any, span: Span) -> kir.Entry | None:
+    """``number`` as it was meant: the fraction of a small denominator that it was rounded from, if there is one."""
+    if isinstance(number, int) or (isinstance(number, float) and number.is_integer()):
+        return int(number)
+    from fractions import Fraction  # here: few maps have any, and the import takes longer than a launch may
+
     try:
         exact = Fraction(number)
     except (TypeError, ValueError, OverflowError):
         ctx.report(AffineArguments(span, f"takes numbers, not {number!r}"))
         return None
     near = exact.limit_denominator(1_000_000)
-    return near if float(near) == float(exact) else exact
+    meant = near if float(near) == float(exact) else exact
+    return meant.numerator if meant.denominator == 1 else meant
+
+
+def _is_fraction(value: Any) -> bool:
+    return "fractions" in sys.modules and isinstance(value, sys.modules["fractions"].Fraction)
 
 
 # ---- ebb.id, ebb.coords, ebb.rand, ebb.randn ----

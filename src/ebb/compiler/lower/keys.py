@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from math import lcm
 
 from ebb.compiler import kir, lir
@@ -115,7 +114,7 @@ def _moved(ctx: Context, grid: Relation, base: lir.Value, offsets: tuple[int, ..
     return position
 
 
-def _row(ctx: Context, entries: Sequence[Fraction], at: Values) -> lir.Value:
+def _row(ctx: Context, entries: Sequence[kir.Entry], at: Values) -> lir.Value:
     """``floor(entries @ [*at, 1])`` in integers, by the common denominator."""
     b = ctx.build
     scale = lcm(*(entry.denominator for entry in entries))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from fractions import Fraction
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import statements
@@ -52,7 +51,7 @@ def single_assignments(kernel: kir.Kernel) -> Mapping[int, kir.Expr]:
     }
 
 
-def is_identity(matrix: tuple[tuple[Fraction, ...], ...]) -> bool:
+def is_identity(matrix: tuple[tuple[kir.Entry, ...], ...]) -> bool:
     """Whether an affine map leaves the coordinates of its base as they are."""
     return all(
         entry == (1 if column == row else 0)

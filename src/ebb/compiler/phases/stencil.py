@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from fractions import Fraction
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -27,7 +26,7 @@ from ebb.relations.subset import RowSet
 from ebb.types.types import KeyType
 
 Coordinates: TypeAlias = "list[npt.NDArray[Any]]"
-Matrix: TypeAlias = "tuple[tuple[Fraction, ...], ...]"
+Matrix: TypeAlias = "tuple[tuple[kir.Entry, ...], ...]"
 
 _MOST_ROWS = 1 << 22
 """How many rows are followed at once, which bounds the memory of a check."""
@@ -138,7 +137,7 @@ def map_coordinates(matrix: Matrix, coordinates: Coordinates) -> Coordinates:
     return [_map_row(entries, coordinates) for entries in matrix]
 
 
-def _map_row(entries: tuple[Fraction, ...], coordinates: Coordinates) -> npt.NDArray[Any]:
+def _map_row(entries: tuple[kir.Entry, ...], coordinates: Coordinates) -> npt.NDArray[Any]:
     scale = math.lcm(*(entry.denominator for entry in entries))
     factors = [int(entry * scale) for entry in entries]
     wide = sum(map(abs, factors)) > 1 << 30  # a product may not fit in 64 bits: follow it in Python's integers
@@ -244,22 +243,21 @@ def describe_move(access: Access) -> str:
 
 def _compose(outer: Matrix, inner: Matrix) -> Matrix:
     """The map that applies ``inner``, then ``outer``, without the floors between."""
-    rows: list[tuple[Fraction, ...]] = []
+    rows: list[tuple[kir.Entry, ...]] = []
     for entries in outer:
         row = [
-            sum((factor * inner[k][column] for k, factor in enumerate(entries[:-1])), Fraction(0))
-            for column in range(len(inner[0]))
+            sum(factor * inner[k][column] for k, factor in enumerate(entries[:-1])) for column in range(len(inner[0]))
         ]
         row[-1] += entries[-1]
         rows.append(tuple(row))
     return tuple(rows)
 
 
-def _tuple_text(values: tuple[Fraction, ...]) -> str:
+def _tuple_text(values: tuple[kir.Entry, ...]) -> str:
     return str(values[0]) if len(values) == 1 else f"({_entries_text(values)})"
 
 
-def _entries_text(values: Sequence[Fraction]) -> str:
+def _entries_text(values: Sequence[kir.Entry]) -> str:
     return ", ".join(map(str, values))
 
 
