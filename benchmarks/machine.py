@@ -7,6 +7,13 @@ import platform
 import subprocess
 from pathlib import Path
 
+BUSY = 0.5  # a load above means that others disturb the measurements
+
+
+def load() -> float:
+    """How many processes wanted to run in the last minute, on average."""
+    return os.getloadavg()[0]
+
 
 def describe_machine() -> dict[str, str]:
     return {
@@ -16,6 +23,7 @@ def describe_machine() -> dict[str, str]:
         "system": platform.platform(),
         "python": platform.python_version(),
         "commit": _commit(),
+        "load": f"{load():.1f}",
     }
 
 

@@ -24,6 +24,7 @@ from benchmarks.figures import (
     title_of,
     versions,
 )
+from benchmarks.machine import BUSY
 from benchmarks.systems.registry import SYSTEMS
 
 HEADERS = ("program", "system", "threads", "median", "quartiles", "x C++", "of the bound", "")
@@ -187,12 +188,12 @@ def threads_of(results: Results) -> list[int]:
 # --- the documentation ----------------------------------------------------------------------------------------------
 
 
-def write_docs(results: Results, path: Path) -> None:
-    """The page, whole; nobody edits it by hand."""
-    path.write_text("\n".join(page(results)) + "\n", encoding="utf-8")
+def write_docs(results: Results, kept: str, path: Path) -> None:
+    """The page, whole; nobody edits it by hand. ``kept`` is the name of the file that has the results."""
+    path.write_text("\n".join(page(results, kept)) + "\n", encoding="utf-8")
 
 
-def page(results: Results) -> Iterator[str]:
+def page(results: Results, kept: str) -> Iterator[str]:
     machine = results["machine"]
     yield from (
         "# Benchmarks",
@@ -201,10 +202,12 @@ def page(results: Results) -> Iterator[str]:
         "",
         f"One run of `make bench`, {results['date'][:10]}, commit {machine['commit']}, on {machine['processor']}, "
         f"{machine['cores']} cores, {machine['cache']} last-level cache, {machine['system']}, "
-        f"Python {machine['python']}. "
-        f"The numbers behind it: [{results['file']}](../benchmarks/results/{results['file']}).",
+        f"Python {machine['python']}; the load was {machine['load']} at the start. "
+        f"The numbers behind it: [{kept}](../benchmarks/results/{kept}).",
         "",
     )
+    if float(machine["load"]) > BUSY:
+        yield from ("**Others kept the machine busy during this run: the figures are preliminary.**", "")
     yield "Time of a step, the fastest in bold; the table below has spreads and ratios."
     yield ""
     yield from markdown(("program", "threads", *(SYSTEMS[name].title for name in COLUMNS)), summary_rows(results))

@@ -23,7 +23,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from benchmarks import data, startup
 from benchmarks.contest import Contestant, Settings, contest
 from benchmarks.data import Arrays
-from benchmarks.machine import describe_machine
+from benchmarks.machine import BUSY, describe_machine, load
 from benchmarks.programs import BY_NAME, FMA, PROGRAMS, Program, Scale, triad
 from benchmarks.report import show, write_docs
 from benchmarks.systems.registry import SYSTEMS
@@ -41,15 +41,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.report is not None:
         results = json.loads(options.report.read_text())
     else:
+        if load() > BUSY:
+            console.print(f"Others keep this machine busy (load {load():.1f}): expect noise.")
         results = run(options, console)
-        path = RESULTS / f"{results['date'][:10]}.json" if options.write_docs else options.json
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(results, indent=1) + "\n")
-        results["file"] = path.name
     show(results, console)
     if options.write_docs:
-        results.setdefault("file", options.report.name if options.report else "")
-        write_docs(results, ROOT / "docs" / "benchmarks.md")
+        path = RESULTS / f"{results['date'][:10]}.json"
+        keep(results, path)
+        write_docs(results, path.name, ROOT / "docs" / "benchmarks.md")
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -98,8 +97,13 @@ def default_threads() -> list[int]:
     return sorted({1, min(2, cores), cores})
 
 
+def keep(results: dict[str, Any], path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(results, indent=1) + "\n")
+
+
 def run(options: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """All that was asked for; returns what is kept as JSON."""
+    """All that was asked for; returns what is kept as JSON, after each program in case that it is cut short."""
     peers = str(options.python) if options.python.exists() else sys.executable
     pythons = {name: peers if system.package else sys.executable for name, system in SYSTEMS.items()}
     programs = [BY_NAME[name] for name in options.only if name in BY_NAME]
@@ -116,15 +120,15 @@ def run(options: argparse.Namespace, console: Console) -> dict[str, Any]:
         settings = Settings(
             pythons, options.cache.absolute(), Path(folder), os.cpu_count() or 1, options.rounds, options.batch
         )
-        if "fma" in options.only:
-            results["programs"].append(run_program(FMA, settings, options, progress))
-        for program in programs:
+        for program in [FMA, *programs] if "fma" in options.only else programs:
             results["programs"].append(run_program(program, settings, options, progress))
+            keep(results, options.json)
         if "startup" in options.only:
             systems = tuple(system for system in startup.SYSTEMS if system in options.systems)
             rounds = min(5, options.rounds)
             task = progress.add_task("startup", total=rounds * len(systems))
             results["startup"] = startup.measure_startup(pythons, systems, rounds, lambda: progress.advance(task))
+            keep(results, options.json)
     return results
 
 
