@@ -45,7 +45,7 @@ bench: install $(PEERS)/.installed
 	$(BIN)/python -m benchmarks.run --python $(PEERS)/bin/python $(BENCH)
 
 # Keeps the results in benchmarks/results and writes docs/benchmarks.md.
-bench-docs: BENCH += --write-docs
+bench-docs: override BENCH += --write-docs
 bench-docs: bench
 
 $(PEERS)/.installed: pyproject.toml
