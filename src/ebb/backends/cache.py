@@ -86,12 +86,13 @@ def cache_limit() -> int:
     return DEFAULT_LIMIT
 
 
-def key_of(*parts: str) -> str:
+def key_of(*parts: str | bytes) -> str:
     """The name under which code that depends on ``parts`` is kept."""
     digest = blake2b(digest_size=_CHECKSUM_BYTES)
     for part in parts:
-        digest.update(f"{len(part)}:".encode())
-        digest.update(part.encode())
+        content = part.encode() if isinstance(part, str) else part
+        digest.update(f"{len(content)}:".encode())
+        digest.update(content)
     return digest.hexdigest()
 
 

@@ -88,9 +88,9 @@ def _emitter_version() -> str:
     folder = next(iter(emitter.__path__))
     sources = sorted(os.path.join(folder, name) for name in os.listdir(folder) if name.endswith(".py"))
     sources += [str(module.__file__) for module in (lir, cpu, replay, targets)]
-    return key_of(*map(_text, sources))
+    return key_of(*map(_content, sources))
 
 
-def _text(path: str) -> str:
+def _content(path: str) -> bytes:
     with open(path, "rb", buffering=0) as file:
-        return file.read().decode()
+        return file.read()

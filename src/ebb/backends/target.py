@@ -25,14 +25,17 @@ class Target:
         cpu: LLVM's name of the processor.
         features: the instruction sets that may be used, as LLVM spells them.
         vector_math: the versions of the library of vector functions that this process has.
-        hooks: what the emitter needs to know.
     """
 
     triple: str
     cpu: str
     features: str
     vector_math: tuple[tuple[int, int], ...]
-    hooks: Hooks
+
+    @property
+    def hooks(self) -> Hooks:
+        """What the emitter needs to know, found out when something is compiled."""
+        return _hooks(self)
 
     @property
     def machine(self) -> Any:
@@ -73,7 +76,12 @@ def host() -> Target:
         raise BackendError(NoMachineCode(triple, str(error))) from error
     tuned = [tuning for family, tuning in _TUNING.items() if cpu.startswith(family)]
     vector_math = tuple(libmvec_versions(VERSIONS)) if triple.startswith("x86_64") else ()
-    return Target(triple, cpu, ",".join((features, *tuned)), vector_math, cpu_hooks(features, vector_math))
+    return Target(triple, cpu, ",".join((features, *tuned)), vector_math)
+
+
+@cache
+def _hooks(target: Target) -> Hooks:
+    return cpu_hooks(target.features, target.vector_math)
 
 
 @cache
