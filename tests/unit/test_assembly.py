@@ -10,6 +10,7 @@ import pytest
 import ebb
 from ebb.backends.llvm.hooks import Strips
 from ebb.backends.target import host
+from ebb.domains import TetMesh
 
 WIDEST = next(
     (register for feature, register in (("+avx512f", "zmm"), ("+avx", "ymm")) if feature in host().features.split(",")),
@@ -164,6 +165,21 @@ def test_query_loops_do_eight_turns_at_once():
     assert count(text, r"v(sqrt|div)ss", "xmm") == 0 and count(text, r"v?gather\w+", "ymm") == 0
     assert len(re.findall(r"vunpck[lh]p[sd].*%ymm", text)) >= 6
     assert text.count("vinsertf128") == 4  # the rows of eight heads, in pairs
+
+
+def test_query_loops_of_little_work_stay_turn_by_turn():
+    mesh = TetMesh.box(2, 2, 2)
+    vertices, edges = mesh.vertices, mesh.edges
+    edges.new_field("weight", ebb.float32)
+    vertices.new_field("old", ebb.float32)
+    vertices.new_field("new", ebb.float32)
+
+    @ebb.kernel
+    def diffuse(v: vertices):
+        for e in v.edges:
+            v.new += e.weight * (e.head.old - v.old)
+
+    assert "strip" not in diffuse.inspect(vertices, "llvm")
 
 
 def test_only_fastmath_reassociates_and_approximates(rows):
