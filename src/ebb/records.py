@@ -4,7 +4,7 @@ What ``@dataclass(frozen=True, slots=True)`` means, at a twentieth of its price.
 methods, half a millisecond; the package has some three hundred such classes, and an import that takes a fifth of a
 second is felt in every short program. Here only ``__init__`` needs code of its own, since it alone has the fields as
 parameters, and that code stands here for each number of fields: a class takes a copy with its own names in it. The
-other methods are closures over the names. Making an object takes half the time too, because the slots are filled by
+other methods are shared. Making an object takes half the time too, because the slots are filled by
 their descriptors without a look-up by name.
 
 Type checkers know records as dataclasses (PEP 681), so ``match`` and exhaustiveness work on them. What they lack:
@@ -48,7 +48,7 @@ class _Field:
         self.shown = shown
 
 
-_PLAIN = _Field(_ABSENT, None, shown=True)
+_NONE: dict[str, _Field] = {}
 
 
 @overload
@@ -100,29 +100,28 @@ def _made(cls: type[Any], frozen: bool, eq: bool) -> type[Any]:
     # What belongs to the class that is left behind: the new one has slots in their place.
     namespace.pop("__dict__", None)
     namespace.pop("__weakref__", None)
-    fields: dict[str, _Field] = dict(getattr(cls, "__record_fields__", ()))
-    own: list[str] = []
-    for name, text in cls.__annotations__.items():
-        if text.startswith("ClassVar"):
-            continue
-        own.append(name)
-        default = namespace.pop(name, _PLAIN)
-        fields[name] = default if isinstance(default, _Field) else _Field(default, None, shown=True)
+    own = tuple([name for name, text in cls.__annotations__.items() if not text.startswith("ClassVar")])
+    said: dict[str, _Field] = getattr(cls, "__record_fields__", _NONE)
+    for name in own:
+        if name in namespace:
+            default = namespace.pop(name)
+            said = {**said, name: default if isinstance(default, _Field) else _Field(default, None, shown=True)}
+    names: tuple[str, ...] = getattr(cls, "__match_args__", ()) + own
     namespace["__qualname__"] = cls.__qualname__
     namespace["__slots__"] = own
-    namespace["__record_fields__"] = fields
-    namespace["__match_args__"] = names = tuple(fields)
+    namespace["__match_args__"] = names
+    namespace["__record_fields__"] = said
     namespace["__reduce__"] = _reduce
     namespace.setdefault("__repr__", _represent)
     if frozen:
         namespace["__setattr__"] = namespace["__delattr__"] = _refuse_change
     if eq:
-        values = _values_of(names)
-        namespace["__eq__"] = _equality(values)
-        namespace["__hash__"] = _hashing(values) if frozen else None
+        namespace["__record_values__"] = attrgetter(*names) if names else _no_values
+        namespace["__eq__"] = _equal
+        namespace["__hash__"] = _hash if frozen else None
     metaclass: Any = type(cls)
     new: Any = metaclass(cls.__name__, cls.__bases__, namespace)
-    new.__init__ = _initialiser(new, names, fields)
+    new.__init__ = _initialiser(new, names, said)
     return new
 
 
@@ -160,16 +159,16 @@ _INITIALISERS: Any = (
 here so that Python keeps them compiled. Code holds what it closes over in the order of the alphabet."""
 
 
-def _initialiser(cls: type[Any], names: tuple[str, ...], fields: dict[str, _Field]) -> Callable[..., None]:
+def _initialiser(cls: type[Any], names: tuple[str, ...], said: dict[str, _Field]) -> Callable[..., None]:
     code = _initialiser_code(len(names))
     made = FunctionType(
         code.replace(co_varnames=("self", *names), co_name="__init__", co_qualname=cls.__qualname__ + ".__init__"),
-        {"__name__": cls.__module__},
+        globals(),
         "__init__",
-        _defaults(cls, fields),
+        _defaults(cls, names, said) if said else (),
         tuple([CellType(getattr(cls, name).__set__) for name in names]),
     )
-    factories = [(name, field.factory) for name, field in fields.items() if field.factory is not None]
+    factories = [(name, field.factory) for name, field in said.items() if field.factory is not None]
     return _filling(cls, made, factories) if factories else made
 
 
@@ -201,43 +200,44 @@ def _filling(
     return __init__
 
 
-def _defaults(cls: type[Any], fields: dict[str, _Field]) -> tuple[Any, ...]:
+def _defaults(cls: type[Any], names: tuple[str, ...], said: dict[str, _Field]) -> tuple[Any, ...]:
     """The defaults of the last parameters, ``_ABSENT`` for those that are made by a factory."""
     found: list[Any] = []
-    for field in fields.values():
-        if field is not _PLAIN and (field.default is not _ABSENT or field.factory is not None):
+    for name in names:
+        field = said.get(name)
+        if field is not None and (field.default is not _ABSENT or field.factory is not None):
             found.append(field.default)
         elif found:
             raise TypeError(f"a field without a default follows one with a default in {cls.__qualname__}")
     return tuple(found)
 
 
-# ---- The other methods. ----
+# ---- The other methods. Classes share them: what each function and closure of their own costs is looked at whenever
+# Python collects garbage, and at its end. ----
 
 
-def _values_of(names: tuple[str, ...]) -> Callable[[Any], Any]:
-    """What gives the values of these fields, to be compared and hashed."""
-    return attrgetter(*names) if names else lambda self: ()
+def _no_values(self: Any) -> tuple[()]:
+    del self
+    return ()
 
 
-def _equality(values: Callable[[Any], Any]) -> Callable[[Any, object], bool]:
-    def __eq__(self: Any, other: object) -> bool:  # noqa: N807
-        if other is self:
-            return True
-        return values(self) == values(other) if other.__class__ is self.__class__ else NotImplemented
+def _equal(self: Any, other: object) -> bool:
+    if other is self:
+        return True
+    cls = self.__class__
+    if other.__class__ is not cls:
+        return NotImplemented
+    values = cls.__record_values__
+    return values(self) == values(other)
 
-    return __eq__
 
-
-def _hashing(values: Callable[[Any], Any]) -> Callable[[Any], int]:
-    def __hash__(self: Any) -> int:  # noqa: N807
-        return hash(values(self))
-
-    return __hash__
+def _hash(self: Any) -> int:
+    return hash(self.__class__.__record_values__(self))
 
 
 def _represent(self: Any) -> str:
-    shown = [name for name, field in self.__record_fields__.items() if field.shown]
+    said: dict[str, _Field] = self.__record_fields__
+    shown = [name for name in self.__match_args__ if name not in said or said[name].shown]
     return f"{type(self).__qualname__}({', '.join([f'{name}={getattr(self, name)!r}' for name in shown])})"
 
 
