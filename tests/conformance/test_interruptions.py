@@ -79,6 +79,36 @@ def test_one_thread_launches_while_another_sorts_the_rows():
     np.testing.assert_array_equal(nodes.total.to_numpy(), np.bincount(links.a.to_numpy(), x, NODES))
 
 
+def test_one_thread_swaps_and_sorts_while_another_runs_a_step():
+    rows = ebb.Relation("rows", size=LINKS)
+    for start, name in enumerate("xyz"):
+        rows.new_field(name, ebb.int64, init=start)
+    with ebb.capture() as step:
+        work_on = """
+        for i in range(100):
+            r.x += r.y - r.y
+        """
+        kernel_of(work_on, "r: rows", rows=rows)(rows)
+        rows.swap("x", "y")
+    step.run(100)
+    over = threading.Event()
+
+    def run():
+        for _ in range(5):
+            step.run(101)
+        over.set()
+
+    def disturb():
+        while not over.wait(0.01):
+            rows.swap("y", "z")
+            rows.permute(np.arange(LINKS)[::-1])
+
+    run_all(run, disturb)
+    assert len({field.address for field in rows.fields.values()}) == 3
+    found = np.sort([field.to_numpy() for field in rows.fields.values()], axis=0)
+    np.testing.assert_array_equal(found, np.broadcast_to([[0], [1], [2]], (3, LINKS)))
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_fork_while_another_thread_launches():

@@ -32,6 +32,7 @@ from ebb.relations.storage import Rows, Storage, inverse, is_permutation
 from ebb.relations.subset import Box, Subset, select
 from ebb.relations.table import table
 from ebb.runtime.recording import recorder, refuse
+from ebb.runtime.threads import launching
 from ebb.types.types import KeyType, as_type
 
 Attribute: TypeAlias = Field | Member | Subset
@@ -174,7 +175,8 @@ class Relation:
             return
         by = recorder()
         if by is None:
-            left.swap_with(right)
+            with launching():  # while machine code replays a step, it keeps the account of what it swaps
+                left.swap_with(right)
         else:
             by.record_swap(left, right)
 
@@ -206,8 +208,9 @@ class Relation:
         if not isinstance(field.type, KeyType):
             keys = tuple(name for name, other in self._fields.items() if isinstance(other.type, KeyType))
             raise RelationError(NotGroupable(self.name, field.name, repr(field.type), keys))
-        if field.grouping is None:
-            self._group(field)
+        with launching():
+            if field.grouping is None:
+                self._group(field)
 
     # Members and subsets
 
@@ -263,15 +266,8 @@ class Relation:
             raise ValueError(f"{self.name} is a grid, whose rows lie in the order of their indices")
         if not is_permutation(moves, self.size):
             raise ValueError(f"no permutation of the {self.size} rows of {self.name}")
-        for field in self._fields.values():
-            field.check_no_view()
-        moved = inverse(moves)
-        buffers = {field: field.buffer.permuted(moves) for field in self._fields.values()}
-        for field in list(self.storage.referrers):
-            buffers[field] = buffers.get(field, field.buffer).mapped(moved)
-        self.storage.reorder(moves, moved)
-        for field, buffer in buffers.items():
-            field.replace(buffer)
+        with launching():
+            self._move(moves)
 
     def reorder(self) -> None:
         """Stores rows that refer to each other close together, which makes kernels that follow keys faster.
@@ -289,7 +285,8 @@ class Relation:
             BackendError: a step is being captured.
         """
         refuse(f"reordering {self.name}", "reorder it before the with statement, or when the step has run")
-        reorder(self)
+        with launching():
+            reorder(self)
 
     # Python's own
 
@@ -318,6 +315,18 @@ class Relation:
 
     def __repr__(self) -> str:
         return table(self.name, self.shape, self.periodic if self.is_grid else None, self._attributes)
+
+    def _move(self, moves: Rows) -> None:
+        """Permutes the rows by ``moves``, which is a permutation of them."""
+        for field in self._fields.values():
+            field.check_no_view()
+        moved = inverse(moves)
+        buffers = {field: field.buffer.permuted(moves) for field in self._fields.values()}
+        for field in list(self.storage.referrers):
+            buffers[field] = buffers.get(field, field.buffer).mapped(moved)
+        self.storage.reorder(moves, moved)
+        for field, buffer in buffers.items():
+            field.replace(buffer)
 
     def _group(self, field: Field) -> None:
         grouping = Grouping(field)
