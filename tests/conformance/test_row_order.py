@@ -108,6 +108,14 @@ def test_rows_stay_where_they_are(how):
         assert is_permuted(vertices) == [False]
 
 
+def test_what_a_view_of_keys_shows_stays():
+    with ebb.backend("cpu"):
+        vertices, edges = lattice(grouped=False)
+        tails = edges.tail.view()
+        launched(along(vertices, edges), edges, 6)
+        np.testing.assert_array_equal(vertices.q.view()[tails], vertices.q.to_numpy()[edges.tail.to_numpy()])
+
+
 def test_the_reference_permutes_nothing_by_itself():
     vertices, edges = lattice()
     few = vertices.new_subset("few", [0])

@@ -172,7 +172,8 @@ class Field:
 
         Rows lie in storage order, which grouping the relation changes, and keys are the places of rows in that order.
         The strides tell the layout: the components of a row together, or a column for each. While nobody has taken a
-        view of a field of the relation, launches may choose order and layout; from the first view on they stay.
+        view of a field of the relation, launches may choose order and layout; from the first view on they stay, those
+        of the relation that keys refer to as well.
         A view shows the memory that the field had when it was taken: take a new one after a swap or a grouping.
 
         Args:
@@ -259,6 +260,8 @@ class Field:
     def _shaped(self) -> Array:
         """A new array object on the memory, in the shape of the relation. Somebody may keep it."""
         self.relation.storage.pinned = True
+        if self.target is not None:  # keys show where its rows lie
+            self.target.storage.pinned = True
         return self.data.reshape(self.relation.shape + self.type.shape)
 
     def _load_field(self, source: Field) -> None:
