@@ -171,6 +171,7 @@ class Binding:
 
     def _place_fields(self, addresses: list[int]) -> None:
         words = self._block.numbers
+        self._addresses = []  # should an interrupt come before all are there
         for word, address in zip(self._field_words, addresses, strict=True):
             words[word] = address
         self._addresses = addresses
@@ -228,16 +229,11 @@ class Binding:
                 self._sources.append((word, rows.row_positions))
             case lir.GlobalData(globl):
                 self._sources.append((word, lambda: globl.data))
-            case lir.Partials(reduction):
-                self._keep(word, (self._blocks * self._size_of_sum(reduction),), slot.type)
+            case lir.Partials(_, sum_):
+                self._keep(word, (self._blocks * sum_.size,), slot.type)
             case lir.PrintRecords():
                 self._prints = PrintBuffer(self._kernel, self._program)
                 self._block.words[word] = self._prints.address
-
-    def _size_of_sum(self, reduction: int) -> int:
-        """The components of the reduction of that number: its sums are stored one block after the other."""
-        sums = [stmt.var for stmt in self._program.block if isinstance(stmt, lir.Declare)]
-        return sums[reduction].size
 
     def _keep(self, word: int, shape: tuple[int, ...], scalar: ScalarType) -> None:
         array = aligned_zeros(shape, scalar.dtype)

@@ -65,13 +65,14 @@ def refuse(action: str, instead: str) -> None:
 @contextmanager
 def recording(by: Recorder) -> Generator[None, None, None]:
     """Hands to ``by`` what this thread does within a ``with`` statement."""
-    with launching():
-        _recorders[get_ident()] = by
-        structure_changed()  # so that every launch goes the long way
+    thread = get_ident()  # now: a generator that is abandoned within is closed by any thread
     try:
+        with launching():
+            _recorders[thread] = by
+            structure_changed()  # so that every launch goes the long way
         yield
     finally:
-        del _recorders[get_ident()]
+        _recorders.pop(thread, None)
 
 
 @contextmanager
