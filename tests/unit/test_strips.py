@@ -50,6 +50,14 @@ class Graph:
 
 def both(kernel, graph, *names):
     """The fields after a launch on ``cpu``, which has run in strips, and after one on the reference."""
+    found = same(kernel, graph, *names)
+    if host().hooks.strips is not Strips.NONE:
+        assert in_strips(kernel, graph)
+    return found
+
+
+def same(kernel, graph, *names):
+    """The fields after a launch on ``cpu`` and after one on the reference, which are the same."""
     before = {name: getattr(graph.nodes, name).to_numpy().copy() for name in names}
     results = []
     for backend in ("cpu", "reference"):
@@ -58,11 +66,15 @@ def both(kernel, graph, *names):
         with ebb.backend(backend):
             kernel(graph.nodes)
         results.append({name: getattr(graph.nodes, name).to_numpy().copy() for name in names})
-    if host().hooks.strips is not Strips.NONE:
-        assert "strip" in kernel.inspect(graph.nodes, "llvm")
     for name in names:
         np.testing.assert_array_equal(results[0][name], results[1][name])
     return results[0]
+
+
+def in_strips(kernel, graph):
+    """Whether some loop of ``kernel`` runs in strips."""
+    with ebb.backend("cpu"):
+        return "strip" in kernel.inspect(graph.nodes, "llvm")
 
 
 @pytest.fixture(params=[ebb.float32, ebb.float64, ebb.int32, ebb.int64, ebb.uint32], ids=repr)
@@ -226,6 +238,79 @@ def test_a_failure_names_the_turn_that_fails_first():
                 kernel(nodes)
             messages.append(str(caught.value))
         assert messages[0] == messages[1]
+
+
+@pytest.mark.parametrize("other", ["v.f = max(v.f, 3 * e.head.p)", "v.f[1] = min(v.f[1], e.w)", "v.f[v.k] *= e.w"])
+def test_two_operators_on_one_place_take_turns(other):
+    graph = Graph(ebb.float64)
+    nodes = graph.nodes
+    nodes.new_field("k", ebb.int32, init=np.arange(len(GROUPS)) % 3)
+    source = f"@ebb.kernel(source=TEXT)\ndef gather(v: nodes):\n    for e in v.out:\n        v.f += e.head.p; {other}\n"
+    names = {"ebb": ebb, "nodes": nodes, "TEXT": source}
+    exec(source, names)
+    same(names["gather"], graph, "f")
+    assert not in_strips(names["gather"], graph)
+
+
+def test_extremes_of_the_components_of_one_row():
+    graph = Graph(ebb.float64)
+    nodes = graph.nodes
+
+    @ebb.kernel
+    def gather(v: nodes):
+        s = v.p
+        for e in v.out:
+            v.two[0] = min(v.two[0], e.w)
+            v.two[1] = max(v.two[1], e.w)
+            s[0] += e.w
+            s[1] = max(s[1], e.w)
+        v.f = s
+
+    both(gather, graph, "two", "f")
+
+
+def test_no_turn_no_place():
+    graph = Graph(ebb.float64)
+    nodes = graph.nodes
+    empty = np.array(GROUPS) == 0
+    nodes.new_field("part", ebb.int32, init=np.where(empty, 100_000_000, np.arange(len(GROUPS)) % 3))
+
+    @ebb.kernel
+    def gather(v: nodes):
+        part = v.part
+        for e in v.out:
+            v.p[part] += e.w
+
+    @ebb.kernel
+    def asked(v: nodes):
+        part = v.part + 2
+        for e in v.out:
+            if part < 3:
+                v.p[part] += e.w
+
+    both(gather, graph, "p")
+    same(asked, graph, "p")
+
+
+def test_what_is_behind_a_check_is_loaded_behind_it():
+    nodes, links = ebb.Relation("nodes", size=10), ebb.Relation("links", size=100)
+    line = ebb.Relation("line", shape=(60_000,))
+    line.new_field("x", ebb.float64, init=1.0)
+    nodes.new_field("y", ebb.float64)
+    links.new_field("tail", nodes, init=np.arange(100) // 10)
+    links.new_field("cell", line, init=np.arange(100)[:, None])
+    links.group_by("tail")
+
+    @ebb.kernel
+    def gather(v: nodes):
+        for e in ebb.where(links.tail, v):
+            near = ebb.affine(line, [[1, 1]], e.cell)
+            far = ebb.affine(line, [[1, 1_000_000_000]], near)
+            v.y += near.x * far.x
+
+    for backend in ("cpu", "reference"):
+        with ebb.backend(backend), pytest.raises(ebb.BoundsError, match="1000000001"):
+            gather(nodes)
 
 
 def test_the_order_of_a_range_is_kept():

@@ -101,7 +101,8 @@ class _Strip:
         head, strip, latch, done, end = (w.fresh(stem) for stem in ("head", "strip", "latch", "done", "end"))
         before, following = w.label, f"%{w.fresh('next')}"
         grown = {key: f"%{w.fresh('grown')}" for key in self.plan.sums}
-        w.branch(head)
+        # Without turns nothing is stored either: rows that run at once may have that place in common.
+        w.branch_if(w.emit(f"icmp slt i64 {start}, {stop}"), head, end)
         w.start(head)
         self.turn = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{latch} ]")
         entered = {key: self.entered(sum_, before, grown[key], latch) for key, sum_ in self.plan.sums.items()}

@@ -59,7 +59,7 @@ class RowLoad:
 
     slot: lir.Slot
     root: lir.Value
-    loads: tuple[tuple[int, lir.Temp], ...]
+    loads: list[tuple[int, lir.Temp]]
 
 
 class Plan:
@@ -201,6 +201,7 @@ class _Planner:
         self.find_varying(lets)
         self.find_early(lets)
         self.check(loop.body, set[tuple[int, int]]())
+        self.check_places(loop.body, checked=False)
         self.find_rows(loop.body)
         self.find_addressing(lets)
         self.demand(bool(self.plan.sums))
@@ -257,9 +258,29 @@ class _Planner:
 
     def add_update(self, stmt: lir.Stmt, place: lir.Slot | lir.Var, index: lir.Value, update: Update) -> None:
         op = "+" if update.op == "-" else update.op
-        known = self.plan.sums.setdefault(update.key, Sum(place, index, op))
-        self.demand(known.op == op)
+        self.plan.sums.setdefault(update.key, Sum(place, index, op))
+        for other in self.plan.sums.values():
+            self.demand(other.op == op or other.place != place or self.apart(other.index, index))
         self.plan.updates[id(stmt)] = update
+
+    def apart(self, left: lir.Value, right: lir.Value) -> bool:
+        """Whether two indexes surely differ, as those of two components of one row do."""
+        if isinstance(left, lir.Literal) and isinstance(right, lir.Literal):
+            return left != right
+        (root, offset), (other, another) = split(self.plan, left), split(self.plan, right)
+        return offset != another and self.same(root, other)
+
+    def same(self, left: lir.Value, right: lir.Value) -> bool:
+        """Whether two values of one turn are surely the same, maybe computed twice."""
+        if left == right:
+            return True
+        if not (isinstance(left, lir.Temp) and isinstance(right, lir.Temp)):
+            return False
+        match self.plan.definitions.get(left.number), self.plan.definitions.get(right.number):
+            case lir.Binary(op, a, b), lir.Binary(other, c, d):
+                return op == other and self.same(a, c) and self.same(b, d)
+            case _:
+                return False
 
     # ---- What varies ----
 
@@ -360,27 +381,70 @@ class _Planner:
         if var.number in self.plan.private:
             self.demand(isinstance(index, lir.Literal) and (var.number, index.value) in assigned)
 
+    def check_places(self, body: lir.Body, checked: bool) -> None:
+        """All sums are added to their places behind the loop, so none may be at a place that a check keeps turns from.
+
+        Args:
+            body: a body of the loop.
+            checked: whether some turns come to a check on their way to it, and others do not come to it.
+        """
+        for stmt in body:
+            match stmt:
+                case lir.If(_, then, orelse) if not is_failure(stmt):
+                    for arm in (then, orelse):
+                        fails = any(isinstance(inner, lir.If) and is_failure(inner) for inner in arm)
+                        self.check_places(arm, checked or fails)
+                case _ if checked and id(stmt) in self.plan.updates:
+                    self.demand(self.is_component(self.plan.sums[self.plan.updates[id(stmt)].key]))
+                case _:
+                    pass
+
+    def is_component(self, sum_: Sum) -> bool:
+        """Whether a place is surely a component of a variable, or of a row that is known before the loop."""
+        if isinstance(sum_.place, lir.Var):
+            return isinstance(sum_.index, lir.Literal)
+        binding = sum_.place.binding
+        size = binding.field.type.size if isinstance(binding, lir.FieldData) else 1
+        row, component = split(self.plan, sum_.index)
+        if size > 1 and isinstance(row, lir.Temp):
+            match self.plan.definitions.get(row.number):
+                case lir.Binary("*", row, lir.Literal(factor)) if factor == size:
+                    pass
+                case _:
+                    return False
+        return isinstance(row, lir.Temp) and row.number not in self.plan.definitions and 0 <= component < size
+
     # ---- Rows ----
 
     def find_rows(self, body: lir.Body) -> None:
-        """Gathers the loads of one body by slot and root: they run under one mask, and nothing stores in between."""
-        found: dict[tuple[int, lir.Value], list[tuple[int, lir.Temp]]] = {}
-        slots: dict[int, lir.Slot] = {}
+        """Gathers the loads of one body by slot and root: they run under one mask, and nothing stores in between.
+
+        What is loaded behind a check stays behind it: it may be no row where the check fails.
+        """
+        found: dict[tuple[int, lir.Value], RowLoad] = {}
         for stmt in body:
             match stmt:
                 case lir.Let(temp, lir.Load(slot, index)) if self.plan.varies(index):
                     if temp.number not in self.plan.skipped:
-                        root, offset = split(self.plan, index)
-                        found.setdefault((slot.number, root), []).append((offset, temp))
-                        slots[slot.number] = slot
+                        self.find_row(found, temp, slot, index)
+                case lir.If() if is_failure(stmt):
+                    found.clear()
                 case lir.If(_, then, orelse):
                     self.find_rows(then)
                     self.find_rows(orelse)
                 case _:
                     pass
-        for (slot_number, root), loads in found.items():
-            self.plan.rows[loads[0][1].number] = RowLoad(slots[slot_number], root, tuple(loads))
-            self.plan.members |= {temp.number for _, temp in loads[1:]}
+
+    def find_row(
+        self, found: dict[tuple[int, lir.Value], RowLoad], temp: lir.Temp, slot: lir.Slot, index: lir.Value
+    ) -> None:
+        root, offset = split(self.plan, index)
+        row = found.get((slot.number, root))
+        if row is None:
+            row = found[slot.number, root] = self.plan.rows[temp.number] = RowLoad(slot, root, [])
+        else:
+            self.plan.members.add(temp.number)
+        row.loads.append((offset, temp))
 
 
 def _work(operation: lir.Operation) -> int:
