@@ -245,6 +245,70 @@ def test_query_loops_are_followed(chain):
     assert "coloured" in said(scatter, points)
 
 
+def test_keys_that_a_condition_keeps_rows_from_are_no_places(chain):
+    points, links = chain
+    links.new_field("v", ebb.vector(points, 3), init=np.minimum(np.arange(SIZE)[:, None] + np.arange(3), SIZE))
+    cells = ebb.Relation("cells", shape=(40, 50))
+    links.new_field("cell", cells, init=np.stack((np.arange(SIZE) % 40, np.arange(SIZE) % 50), axis=1))
+    points.new_field("in_cell", cells, init=np.stack(np.unravel_index(np.arange(SIZE + 1) % 2000, (40, 50)), axis=1))
+    points.group_by("in_cell")
+
+    @ebb.kernel
+    def components(k: links):
+        for i in range(5):
+            if i < 3:
+                k.v[i].count += 1 + i
+
+    (found,) = same_bits(components, links, points.count)
+    expected = np.zeros(SIZE + 1)
+    for i in range(3):
+        np.add.at(expected, links.v.to_numpy()[:, i], 1 + i)
+    np.testing.assert_array_equal(found, expected)
+    assert not said(components, links).startswith("row after row")
+
+    some = links.new_subset("some", np.arange(5_000))
+
+    @ebb.kernel
+    def groups(k: links):
+        if ebb.coords(k.cell)[0] < 39:
+            for p in ebb.where(points.in_cell, ebb.affine(cells, [[1, 0, 1], [0, 1, 0]], k.cell)):
+                p.count += 1
+
+    (found,) = same_bits(groups, some, points.count)
+    inner = links.cell.to_numpy()[:5_000]
+    inner = inner[inner[:, 0] < 39] + [1, 0]
+    times = np.zeros((40, 50))
+    np.add.at(times, tuple(inner.T), 1)
+    np.testing.assert_array_equal(found, times[tuple(points.in_cell.to_numpy().T)])
+
+
+def test_loop_variables_that_change_are_not_followed(chain):
+    points, links = chain
+    links.new_field("v", ebb.vector(points, 4), init=np.minimum(np.arange(SIZE)[:, None] + np.arange(4), SIZE))
+
+    @ebb.kernel
+    def ahead(k: links):
+        for i in range(3):
+            i = i + 1
+            k.v[i].count += 1
+
+    @ebb.kernel
+    def last(k: links):
+        for i in range(3):
+            k.out = i
+        end = k.v[i]
+        for i in range(2):
+            end.count += i
+
+    for kernel, columns in ((ahead, (1, 2, 3)), (last, (2,))):
+        (found,) = same_bits(kernel, links, points.count)
+        expected = np.zeros(SIZE + 1)
+        for column in columns:
+            np.add.at(expected, links.v.to_numpy()[:, column], 1)
+        np.testing.assert_array_equal(found, expected)
+        assert said(kernel, links).startswith("row after row")
+
+
 @pytest.mark.parametrize("periodic", [False, True])
 def test_offsets_on_a_grid_are_coloured(periodic):
     cells = ebb.Relation("cells", shape=(301, 330), periodic=periodic)
@@ -390,6 +454,33 @@ def test_an_unset_key_is_an_error(chain):
     points.count.fill(0)
     scatter(fine)
     assert points.count.to_numpy().sum() == 5_000
+
+
+def test_keys_of_staged_values_are_checked(tangle):
+    _, links = tangle
+    keys = np.ma.masked_array(links.a.to_numpy(), np.arange(SIZE) == 5_000)
+    links.a.load(keys)
+    cells = ebb.Relation("cells", shape=(100, 100))
+    cells.new_field("sum", ebb.float32)
+    at = np.random.default_rng(4).integers(0, 99, (SIZE, 2))
+    at[[7_000, 70_000], 0] = 99
+    links.new_field("cell", cells, init=at)
+
+    @ebb.kernel
+    def unset(k: links):
+        k.a.sum += k.x
+
+    @ebb.kernel
+    def outside(k: links):
+        ebb.affine(cells, [[1, 0, 1], [0, 1, 0]], k.cell).sum += k.x
+
+    for threads in THREADS:
+        with ebb.backend("cpu", threads=threads, reorder=False):
+            with pytest.raises(ebb.RelationError, match=r"links\[5000\]"):
+                unset(links)
+            with pytest.raises(ebb.BoundsError, match=r"links\[7000\]"):
+                outside(links)
+    assert said(unset, links).startswith("staged") and said(outside, links).startswith("staged")
 
 
 def test_no_rows():

@@ -15,7 +15,7 @@ from ebb.compiler import kir
 from ebb.compiler.kir_walk import statements
 from ebb.compiler.phases.check import check_phases
 from ebb.compiler.phases.table import PhaseKind, PhaseTable
-from ebb.compiler.scatter.rewrite import Copier, Effect
+from ebb.compiler.scatter.rewrite import Copier, Effect, first_free_uid
 from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.touched import Touched
 from ebb.diagnostics.span import Span
@@ -120,13 +120,18 @@ def _stage(relation: Relation, field: Field, parts: tuple[kir.ReduceField, ...])
 def _staged_body(kernel: kir.Kernel, stages: Sequence[Stage]) -> kir.Body:
     places = {part: (each, number) for each in stages for number, part in enumerate(each.parts)}
     own = kir.ReadLocal(kernel.row, kernel.row.type, kernel.span)
+    free = first_free_uid(kernel)
+    number_of = {part: number for number, part in enumerate(places)}
 
     def effect(stmt: Effect) -> tuple[kir.Stmt, ...]:
         if not isinstance(stmt, kir.ReduceField) or stmt not in places:
             return (stmt,)
         each, number = places[stmt]
         indices = (_number(number, stmt.span), *stmt.indices)
-        return (kir.WriteField(each.place, own, indices, stmt.value, stmt.span),)
+        write = kir.WriteField(each.place, own, indices, stmt.value, stmt.span)
+        # Nobody needs the key here, but to look at it may fail, and the index leaves out whatever is no row.
+        target = kir.Local("target", free + number_of[stmt], stmt.key.type)
+        return (kir.Assign(target, (), stmt.key, stmt.span), write)
 
     body = Copier(0, lambda _: None, effect).body(kernel.body)
     always = {stmt for stmt in kernel.body if isinstance(stmt, kir.ReduceField) and not stmt.indices}

@@ -191,7 +191,7 @@ class _Follower:
             return
         match stmt.start, stmt.stop, stmt.step:
             case kir.Const(start), kir.Const(stop), kir.Const(step) if (
-                step and len(range(start, stop, step)) <= _MOST_TURNS
+                step and len(range(start, stop, step)) <= _MOST_TURNS and not _rebinds(stmt)
             ):
                 for number in range(start, stop, step):
                     self.body(stmt.body, replace(scope, numbers={**scope.numbers, stmt.local.uid: number}))
@@ -217,7 +217,8 @@ class _Follower:
         members = np.arange(total) + np.repeat(starts - (ends - counts), counts)
         owners = np.arange(scope.size) if scope.owners is None else scope.owners
         outer = {uid: _repeated(rows, counts) for uid, rows in scope.rows.items()}
-        outer[stmt.local.uid] = members if grouping.rows is None else grouping.rows[members]
+        if not _rebinds(stmt):
+            outer[stmt.local.uid] = members if grouping.rows is None else grouping.rows[members]
         return _Scope(total, np.repeat(owners, counts), outer, scope.numbers)
 
     # ---- Keys ----
@@ -247,7 +248,11 @@ class _Follower:
         """The component ``index`` of ``expr``, a key or a vector or matrix of keys."""
         match expr:
             case kir.Component(operand, indices):
-                return self.keys(operand, scope, (*(self.number(part, scope) for part in indices), *index))
+                numbers = tuple(self.number(part, scope) for part in indices)
+                if all(0 <= part < extent for part, extent in zip(numbers, operand.type.shape, strict=False)):
+                    return self.keys(operand, scope, (*numbers, *index))
+                self.unset = True  # a turn that the kernel leaves out, or fails in
+                return np.full(scope.size, -1)
             case kir.ReadLocal(local) if local.uid in self.values:
                 return self.keys(self.values[local.uid], scope, index)
             case kir.ReadField(source, key):
@@ -302,6 +307,7 @@ class _Follower:
             if beyond is not None:
                 missing = missing | beyond
         found = _ravelled(settled(node, asked), target.shape, positions.shape)
+        self.unset = self.unset or bool(missing.any())
         return np.where(missing, -1, found)
 
     def steps(self, node: kir.Affine) -> tuple[kir.Affine, ...] | None:
@@ -317,6 +323,12 @@ class _Follower:
                 return None if before is None else (*before, node)
             case _:
                 return None
+
+
+def _rebinds(loop: kir.ForRange | kir.ForQuery) -> bool:
+    """Whether the body of ``loop`` gives its variable other values."""
+    bindings = (kir.Assign, kir.ForRange, kir.ForQuery)
+    return any(isinstance(stmt, bindings) and stmt.local.uid == loop.local.uid for stmt in statements(loop.body))
 
 
 def _extents(box: Box) -> tuple[int, ...]:
