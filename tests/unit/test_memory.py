@@ -192,10 +192,9 @@ def held_after(lives):
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="nothing tells the size of the process")
 def test_machine_code_is_unloaded():
     """What LLVM holds is no memory of Python's. It kept 28 kB of every life while all had one linker."""
-    held_after(70)
-    before = resident()
-    held_after(70)
-    assert resident() - before < 1_000_000
+    sizes = [held_after(70) and resident() for _ in range(4)]
+    # Memory that is free but scattered makes one step in a while; what is kept makes all.
+    assert min(np.diff(sizes)) < 1_000_000
 
 
 def resident():
