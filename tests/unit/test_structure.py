@@ -41,6 +41,7 @@ LATE = ("rich", "typer", "scipy", "meshio", "pyvista", "pymeshfix", "matplotlib"
 # Only needed on errors, to compile what is not in the cache, or by another backend.
 SLOW = (
     "numpy.ma",
+    "numpy.typing",
     "concurrent.futures",
     "difflib",
     "fractions",

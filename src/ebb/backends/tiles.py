@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.compiler.lir import BLOCK_ROWS
 from ebb.relations.subset import Box, RowSet
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 
 def tile_boxes(boxes: Sequence[Box]) -> npt.NDArray[np.int64]:

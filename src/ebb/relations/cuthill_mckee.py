@@ -8,14 +8,17 @@ usual, helps a factorisation and leaves all distances as they are, so it is not 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.records import record
 from ebb.relations.sorting import stable_order
 from ebb.relations.storage import Rows
 from ebb.runtime.buffer import Array
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 THIN = 32
 """With fewer rows than this to go on from, the search takes one by one: calls of NumPy would cost more than they."""

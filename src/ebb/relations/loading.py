@@ -13,7 +13,6 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.errors import RelationError
 from ebb.records import record
@@ -22,6 +21,8 @@ from ebb.runtime.buffer import Array
 from ebb.types.types import KeyType, Kind, ScalarType, Type
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from ebb.relations.relation import Relation
 
 Masked: TypeAlias = "np.ma.MaskedArray[Any, np.dtype[Any]]"

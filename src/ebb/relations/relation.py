@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from keyword import iskeyword
 from math import prod
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias, cast, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast, overload
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.errors import RelationError
 from ebb.relations.errors import (
@@ -34,6 +33,9 @@ from ebb.relations.table import table
 from ebb.runtime.recording import recorder, refuse
 from ebb.runtime.threads import launching
 from ebb.types.types import KeyType, as_type
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 Attribute: TypeAlias = Field | Member | Subset
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.runtime.buffer import Array
 from ebb.runtime.epoch import structure_changed
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from ebb.relations.field import Field
     from ebb.relations.grouping import Grouping
 
-Rows = npt.NDArray[np.int64]
+Rows: TypeAlias = "npt.NDArray[np.int64]"
 
 MOST_PATIENCE = 1 << 16
 """How many times keys that keep changing must be met unchanged before the order of rows is decided by them."""

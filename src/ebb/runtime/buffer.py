@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from enum import Enum
 from math import prod
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-Array: TypeAlias = npt.NDArray[Any]
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+Array: TypeAlias = "npt.NDArray[Any]"
 
 ALIGNMENT = 64
 """Bytes: a cache line, and the widest vector register of the machines that LLVM emits for here."""

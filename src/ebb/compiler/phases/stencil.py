@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.compiler import kir
 from ebb.compiler.kir_walk import expressions
@@ -24,6 +23,9 @@ from ebb.records import record
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet
 from ebb.types.types import KeyType
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 Coordinates: TypeAlias = "list[npt.NDArray[Any]]"
 Matrix: TypeAlias = "tuple[tuple[kir.Entry, ...], ...]"

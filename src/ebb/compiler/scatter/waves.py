@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from ebb.compiler.scatter.touched import Touched
 from ebb.records import record
 from ebb.relations.relation import Relation
 from ebb.runtime.buffer import Array
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 WIDTH = 8
 """The number of threads for which a schedule is judged. It is always this, so that no choice depends on the machine."""
