@@ -21,6 +21,7 @@ from ebb.compiler.kir_walk import statements
 from ebb.errors import BackendError, EbbError, trimmed
 from ebb.launch import Launch
 from ebb.records import record
+from ebb.relations.family import join
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.runtime.buffer import Array
@@ -107,13 +108,14 @@ class Step:
     def _prepare(self) -> None:
         """Has the backend make a program of the step, if it can and the data allow it."""
         self._replay = None
+        swaps = [each for each in self._recorded if isinstance(each, SwapFields)]
+        for each in swaps:
+            each.left.check_no_view()
+            each.right.check_no_view()
+            if each.left.type.shape:
+                join(each.left, each.right)  # before the launches choose a layout, which is then that of both
         epoch, settled = self._settle()
-        for each in self._recorded:
-            if isinstance(each, SwapFields):
-                each.left.check_no_view()
-                each.right.check_no_view()
-                settled = settled and _are_alike(each.left, each.right)
-        if settled:
+        if settled and all([_are_alike(each.left, each.right) for each in swaps]):
             self._replay = current_backend().replay([self._bound(each) for each in self._recorded])
         self._epoch = epoch
 

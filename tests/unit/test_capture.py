@@ -252,6 +252,52 @@ def test_swapped_fields_that_come_to_lie_in_columns(natively):
     np.testing.assert_array_equal(results[0][1], results[1][1])
 
 
+def test_swapped_fields_of_which_one_alone_would_lie_in_columns(natively):
+    rows = ebb.Relation("rows", size=SIZE)
+    rows.new_field("old", ebb.mat3d, init=np.eye(3))
+    rows.new_field("new", ebb.mat3d, init=np.eye(3))
+    rows.new_field("sum", ebb.float64)
+
+    @ebb.kernel
+    def change(r: rows):
+        r.new = 2.0 * ebb.inverse(r.new + ebb.transpose(r.new)) @ r.new
+
+    @ebb.kernel
+    def add(r: rows):
+        for i in range(2):
+            r.sum += r.old[0, i]
+
+    with ebb.capture() as step:
+        change(rows)
+        add(rows)
+        rows.swap("old", "new")
+    step.run(20)
+    assert rows.old.buffer.layout is rows.new.buffer.layout
+    assert rows.sum.to_numpy()[[0, -1]].tolist() == [20.0, 20.0]
+
+
+def test_a_recording_generator_that_another_thread_closes():
+    rows = rows_of()
+
+    @ebb.kernel
+    def add(r: rows):
+        r.x += 1.0
+
+    def recording():
+        with ebb.capture():
+            add(rows)
+            yield
+
+    abandoned = recording()
+    next(abandoned)
+    thread = threading.Thread(target=abandoned.close)
+    thread.start()
+    thread.join()
+    before = rows.x.to_numpy()
+    add(rows)
+    np.testing.assert_array_equal(rows.x.to_numpy(), before + 1.0)
+
+
 def test_a_step_keeps_what_it_uses():
     rows = rows_of()
 
