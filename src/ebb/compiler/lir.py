@@ -63,9 +63,10 @@ class GlobalData:
 
 @record
 class Partials:
-    """The partial results of the reduction number ``reduction``: one row of components a block."""
+    """What each block has summed in ``sum`` by the reduction number ``reduction``, one block after the other."""
 
     reduction: int
+    sum: Var
 
 
 @record

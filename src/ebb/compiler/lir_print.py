@@ -51,7 +51,7 @@ def _binding(binding: lir.SlotBinding | lir.ArgumentBinding) -> str:  # noqa: C9
             return f"identities of {relation.name}"
         case lir.GlobalData():
             return "global"
-        case lir.Partials(reduction):
+        case lir.Partials(reduction, _):
             return f"partials of reduction {reduction}"
         case lir.LaunchPositions():
             return "positions of the launch"

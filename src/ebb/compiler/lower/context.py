@@ -95,8 +95,8 @@ class Context:
             case lir.GlobalData(globl):
                 access = lir.Access.WRITE if self.phases.globals[globl].reduced else lir.Access.READ
                 return value_scalar(globl.type.scalar), access
-            case lir.Partials(reduction):
-                return tuple(self.accumulators.values())[reduction].type, lir.Access.WRITE
+            case lir.Partials(_, sum_):
+                return sum_.type, lir.Access.WRITE
             case lir.PrintRecords():
                 return int64, lir.Access.WRITE
             case lir.GroupOffsets(index) | lir.GroupRows(index):

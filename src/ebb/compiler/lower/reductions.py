@@ -36,7 +36,7 @@ def store_partials(ctx: Context, block: lir.Value) -> None:
     """Stores what the block has summed."""
     b = ctx.build
     for reduction, var in enumerate(ctx.accumulators.values()):
-        slot = ctx.slot(lir.Partials(reduction))
+        slot = ctx.slot(lir.Partials(reduction, var))
         first = b.scale_index(block, var.size)
         for k, value in enumerate(b.load_all(var)):
             b.add(lir.Store(slot, b.add_index(first, k), value))
@@ -49,11 +49,12 @@ def combine_partials(ctx: Context, reduced: dict[Global, str]) -> None:
         size, scalar = globl.type.size, value_scalar(globl.type.scalar)
         total = b.declare("total", scalar, size)
         b.store_all(total, [_identity(op, scalar)] * size)
+        partials = ctx.slot(lir.Partials(reduction, ctx.accumulators[globl]))
         block, blocks = b.temp(int64), ctx.argument(lir.BlockCount(), int64)
         with b.body() as turn:
             first = b.scale_index(block, size)
             for k in range(size):
-                partial = b.load(ctx.slot(lir.Partials(reduction)), b.add_index(first, k))
+                partial = b.load(partials, b.add_index(first, k))
                 b.store_var(total, k, b.binary(op, b.load_var(total, k), partial))
         b.add(lir.For(block, index(0), blocks, tuple(turn), lir.Turns.IN_ORDER))
         slot = ctx.slot(lir.GlobalData(globl))
