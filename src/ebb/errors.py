@@ -61,7 +61,7 @@ class KernelTypeError(EbbError):
 
 
 class PhaseError(EbbError):
-    """A field or a global is in two phases within one kernel (paper, section 3.1; design, section 5)."""
+    """A field or a global is in two phases within one kernel (paper, section 3.1)."""
 
 
 class RelationError(EbbError):

@@ -272,7 +272,7 @@ def kernel(
     fastmath: bool = False,
     source: str | None = None,
 ) -> Kernel | Callable[[_Function], Kernel]:
-    """Makes a kernel of a function whose first parameter is a row (design, section 5; paper, section 3.1).
+    """Makes a kernel of a function whose first parameter is a row (paper, section 3.1).
 
     Args:
         function: the function; its first parameter is annotated with a relation, or bare and then typed at each launch.

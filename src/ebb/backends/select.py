@@ -1,4 +1,4 @@
-"""Which backend kernels run on: ``ebb.set_backend``, ``ebb.backend`` and ``EBB_BACKEND`` (design, section 8)."""
+"""Which backend kernels run on: ``ebb.set_backend``, ``ebb.backend`` and ``EBB_BACKEND``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which types operators take and give, and which types widen to which (design, section 3).
+"""Which types operators take and give, and which types widen to which.
 
 Every rule is a function of types alone. It returns what the operands must be converted to and the type of the result,
 or a ``Mismatch`` that says what is wrong; nothing here raises. To convert a scalar operand to a vector or matrix is to

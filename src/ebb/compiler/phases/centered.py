@@ -1,4 +1,4 @@
-"""Which keys of a kernel are centered: surely the kernel's own row (design, section 5)."""
+"""Which keys of a kernel are centered: surely the kernel's own row."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The phase check: rows of a kernel meet in a place only if all of them read it, or reduce it with one operator.
 
-A kernel that passes has no data race, and its rows may run in any order (paper, section 3; design, section 5).
+A kernel that passes has no data race, and its rows may run in any order (paper, section 3).
 """
 
 from __future__ import annotations
