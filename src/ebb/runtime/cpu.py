@@ -19,7 +19,7 @@ from ebb.runtime.buffer import aligned_zeros
 from ebb.runtime.errors import NoMachineCode
 from ebb.runtime.replay import REPLAY
 from ebb.runtime.symbols import external_symbols
-from ebb.runtime.threads import describe_threads, openmp, usable_threads
+from ebb.runtime.threads import openmp, usable_threads
 
 THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, THREAD_COUNT, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(12)
 HEADER_WORDS = 12
@@ -88,10 +88,9 @@ class ArgumentBlock:
 class CpuCode:
     """Machine code in this process. It is unloaded with this object."""
 
-    __slots__ = ("_tracker", "address", "finish", "launch", "name", "share")
+    __slots__ = ("_tracker", "address", "finish", "launch", "share")
 
-    def __init__(self, name: str, tracker: Any) -> None:
-        self.name = name
+    def __init__(self, tracker: Any) -> None:
         self._tracker = tracker
         self.address: int = tracker[LAUNCH]
         word, pointer = ctypes.c_int64, ctypes.c_void_p
@@ -119,7 +118,6 @@ class CpuDevice:
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
-        self.name = "cpu"
 
     def load(self, name: str, image: bytes) -> CpuCode:
         """Links the object code ``image`` into the process.
@@ -127,7 +125,7 @@ class CpuDevice:
         Raises:
             BackendError: it cannot be linked.
         """
-        return CpuCode(name, _link(name, image, (LAUNCH, SHARE, FINISH)))
+        return CpuCode(_link(name, image, (LAUNCH, SHARE, FINISH)))
 
     def load_replay(self, image: bytes) -> ReplayCode:
         """Links the object code that replays captured steps into the process.
@@ -152,10 +150,6 @@ class CpuDevice:
         """How many threads a launch gets that as many as ``shares`` threads can share."""
         threads = shares if shares < self.threads else self.threads
         return usable_threads(threads) if threads > 1 else 1
-
-    def describe(self) -> str:
-        """The processor and how it runs threads, in words."""
-        return f"{llvm.get_host_cpu_name()}, {self.threads} threads by {describe_threads()}"
 
 
 def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int) -> bool:

@@ -28,7 +28,6 @@ class Hooks:
     """The names and attributes that one kind of target wants.
 
     Attributes:
-        name: the kind of target.
         math: the function that computes each function of ``lir.MATH`` on floats; ``{type}`` stands for LLVM's ``f32``
             or ``f64``, ``{suffix}`` for C's ``f`` or nothing.
         attributes: the attributes of the functions that loop over rows.
@@ -36,7 +35,6 @@ class Hooks:
         vector_math: the functions that the target has for several values at once.
     """
 
-    name: str
     math: Mapping[str, str]
     attributes: str
     strips: Strips
@@ -44,7 +42,6 @@ class Hooks:
 
 
 CPU = Hooks(
-    name="cpu",
     math={name: f"llvm.{name}.{{type}}" for name in _INTRINSICS}
     | {"abs": "llvm.fabs.{type}", "round": "llvm.rint.{type}", "gamma": "tgamma{suffix}"}
     | {name: f"{name}{{suffix}}" for name in _LIBM},
