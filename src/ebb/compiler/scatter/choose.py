@@ -160,7 +160,7 @@ class Planner:
         if again is not None:
             times[Way.GATHER] = self._gather_time(again)
         parts = staged_parts(step.kernel, step.phases)
-        if not isinstance(parts, str):
+        if parts is not None:
             self._stages = self._stages or self._make_stages(parts)
             times[Way.STAGE] = self._stage_time(self._stages)
         return self._by(quickest(times), touches, waves)
@@ -171,7 +171,7 @@ class Planner:
                 assert waves is not None
                 return self._colours(waves, touches)
             case Way.GATHER:
-                assert not isinstance(self._routes, str)
+                assert self._routes is not None
                 return self._gather(self._routes, touches)
             case Way.STAGE:
                 assert self._stages is not None
@@ -197,7 +197,7 @@ class Planner:
     def _may_gather(self) -> Routes | None:
         """The routes by which values may be computed again for each target, or None."""
         routes, step = self._routes, self._step
-        if isinstance(routes, str) or (None in routes.all and own_positions(self._rows) is not None):
+        if routes is None or (None in routes.all and own_positions(self._rows) is not None):
             return None
         sources = sources_of(step.kernel)
         facts = sources.facts(sources.state())

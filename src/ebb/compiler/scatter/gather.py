@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TypeAlias, cast
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import expressions, statements
+from ebb.compiler.kir_walk import draws, statements
 from ebb.compiler.phases.centered import Centered, find_centered, single_assignments
 from ebb.compiler.phases.check import check_phases
 from ebb.compiler.phases.table import PhaseKind, PhaseTable
@@ -23,10 +23,6 @@ from ebb.relations.relation import Relation
 
 Route: TypeAlias = "tuple[Field, tuple[int, ...]] | None"
 """How a row refers to its target: a component of a key field; None where the target is the row itself."""
-
-
-Indexes: TypeAlias = "Mapping[Route, Field]"
-"""For each route through a key field, the field whose grouping finds the rows by their target."""
 
 
 @record(eq=False)
@@ -56,11 +52,10 @@ class Routes:
         return tuple(route for target in self.targets for route in self.into(target))
 
 
-def find_routes(kernel: kir.Kernel, phases: PhaseTable) -> Routes | str:
-    """The routes of the reductions of ``kernel`` into other rows; or why values cannot be computed again, in words."""
-    again = _why_not_again(kernel, phases)
-    if again is not None:
-        return again
+def find_routes(kernel: kir.Kernel, phases: PhaseTable) -> Routes | None:
+    """The routes of the reductions of ``kernel`` into other rows; None where values cannot be computed again."""
+    if not _may_run_again(kernel, phases):
+        return None
     certain = certain_locals(kernel)
     values = {uid: value for uid, value in single_assignments(kernel).items() if uid in certain}
     centered = find_centered(kernel)
@@ -69,7 +64,7 @@ def find_routes(kernel: kir.Kernel, phases: PhaseTable) -> Routes | str:
         if isinstance(stmt, kir.ReduceField) and phases.fields[stmt.field].kind is PhaseKind.REDUCE:
             route = None if centered.is_centered(stmt.key) else _route(stmt.key, centered, values)
             if route is None and not centered.is_centered(stmt.key):
-                return "some key is not that of a key field of the row"
+                return None
             found[stmt] = route
     return Routes(found, centered)
 
@@ -93,14 +88,9 @@ def gather(
     return steps
 
 
-def _why_not_again(kernel: kir.Kernel, phases: PhaseTable) -> str | None:
-    """Why the body cannot be run for each of its reductions, and in another order than it is written in."""
-    if any(isinstance(expr, kir.Random) for expr in expressions(kernel.body)):
-        return "it draws random numbers"
-    for field, phase in phases.fields.items():
-        if phase.changed and phase.read:
-            return f"it reads '{field.path}', which it changes"
-    return None
+def _may_run_again(kernel: kir.Kernel, phases: PhaseTable) -> bool:
+    """Whether the body can be run for each of its reductions, and in another order than it is written in."""
+    return not draws(kernel) and not any(phase.changed and phase.read for phase in phases.fields.values())
 
 
 def _route(key: kir.Expr, centered: Centered, values: Mapping[int, kir.Expr], index: tuple[int, ...] = ()) -> Route:

@@ -62,19 +62,22 @@ class Stage:
         index_keys(self.index, keys.reshape(-1), rows)
 
 
-def staged_parts(kernel: kir.Kernel, phases: PhaseTable) -> dict[Field, tuple[kir.ReduceField, ...]] | str:
-    """The reductions of ``kernel`` into other rows by field; or why they cannot be staged, in words."""
+def staged_parts(kernel: kir.Kernel, phases: PhaseTable) -> dict[Field, tuple[kir.ReduceField, ...]] | None:
+    """The reductions of ``kernel`` into other rows by field; None where they cannot be staged.
+
+    They cannot where a row gives any number of values, where one reduction stands in several places, and where fields
+    hold matrices or the component is computed.
+    """
     found: dict[Field, list[kir.ReduceField]] = {}
     once = set(_outside_loops(kernel.body))
     for stmt in statements(kernel.body):
         if isinstance(stmt, kir.ReduceField) and phases.fields[stmt.field].kind is PhaseKind.REDUCE:
-            if stmt not in once:
-                return "some row gives any number of values"
-            if len(stmt.field.type.shape) > 1 or not all(isinstance(index, kir.Const) for index in stmt.indices):
-                return "values of this shape are not staged"
+            simple = len(stmt.field.type.shape) <= 1 and all(isinstance(index, kir.Const) for index in stmt.indices)
+            if stmt not in once or not simple:
+                return None
             found.setdefault(stmt.field, []).append(stmt)
     if any(len(set(parts)) < len(parts) for parts in found.values()):
-        return "one reduction stands in several places"
+        return None
     return {field: tuple(parts) for field, parts in found.items()}
 
 

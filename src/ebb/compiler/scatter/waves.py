@@ -64,16 +64,16 @@ def in_order(blocks: int) -> Waves:
     return Waves(np.array([[0, blocks]]), np.array([0, 1]), blocks)
 
 
-def efficiency(waves: Waves, width: int = WIDTH) -> float:
-    """How much of ``width`` threads is used, 1 at best: by the longest share of each wave and what the waves cost."""
+def efficiency(waves: Waves) -> float:
+    """How much of ``WIDTH`` threads is used, 1 at best: by the longest share of each wave and what the waves cost."""
     lengths = waves.items[:, 1] - waves.items[:, 0]
     reached = np.concatenate(([0], np.cumsum(lengths)))
     time = 0.0
     for first, last in zip(waves.starts[:-1], waves.starts[1:], strict=True):
-        shares = first + (last - first) * np.arange(width + 1) // width
+        shares = first + (last - first) * np.arange(WIDTH + 1) // WIDTH
         time += float(np.diff(reached[shares]).max(initial=0)) + WAVE_BLOCKS
     slower = 1 + COLOUR * max(0, len(waves.sizes) - 2)
-    return float(reached[-1]) / (width * time * slower) if time else 0.0
+    return float(reached[-1]) / (WIDTH * time * slower) if time else 0.0
 
 
 def colour(places: Sequence[Touched], starts: Array) -> Waves | None:
