@@ -11,7 +11,7 @@ import ebb.backends.llvm as emitter
 from ebb.backends import target as targets
 from ebb.backends.cache import ObjectCache, key_of
 from ebb.backends.target import Target
-from ebb.compiler import lir, lir_print, lir_verify
+from ebb.compiler import lir, lir_print, lir_verify, lir_walk
 from ebb.compiler.pipeline import dump, log_time
 from ebb.errors import BackendError
 from ebb.runtime import cpu, replay
@@ -87,7 +87,7 @@ def _emitter_version() -> str:
     """A hash of the sources that make machine code of LIR, so that code of another version is never taken for ours."""
     folder = next(iter(emitter.__path__))
     sources = sorted(os.path.join(folder, name) for name in os.listdir(folder) if name.endswith(".py"))
-    sources += [str(module.__file__) for module in (lir, cpu, replay, targets)]
+    sources += [str(module.__file__) for module in (lir, lir_walk, cpu, replay, targets)]
     return key_of(*map(_content, sources))
 
 

@@ -13,10 +13,11 @@ from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entri
 from ebb.backends.llvm.hooks import Hooks, Strips
 from ebb.backends.llvm.lanes import Flags, emit_strips
 from ebb.backends.llvm.strides import is_unit
-from ebb.backends.llvm.strips import plan_strips, statements, variable_reads
+from ebb.backends.llvm.strips import plan_strips
 from ebb.backends.llvm.vector_math import VectorForms
 from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
+from ebb.compiler.lir_walk import statements, variable_reads
 from ebb.runtime.cpu import PAYLOAD_START
 
 _FLAGS = {

@@ -166,8 +166,9 @@ class _Strip:
 
     def assign(self, component: tuple[int, int], value: lir.Value) -> None:
         new, old = self.value(value), self.private.get(component)
-        blended = self.nested and old is not None
-        self.private[component] = self.v.select(self.mask, value.type, new, old or "") if blended else new
+        if self.nested and old is not None:
+            new = self.v.select(self.mask, value.type, new, old)
+        self.private[component] = new
 
     def add(self, update: Update) -> None:
         old, scalar = self.sums[update.key], update.value.type

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ebb.backends.llvm.strips import operands, statements
 from ebb.compiler import lir
+from ebb.compiler.lir_walk import operands, statements
 
 
 def is_unit(loop: lir.RowLoop) -> bool:

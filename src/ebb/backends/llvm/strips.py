@@ -8,12 +8,13 @@ it does is arithmetic, loads, and sums into places that no turn chooses; conditi
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TypeAlias
 
 from ebb.backends.llvm.transpose import LANES
 from ebb.backends.llvm.vector_math import VectorForms
 from ebb.compiler import lir
+from ebb.compiler.lir_walk import operands, statements, values, variable_reads
 from ebb.records import record
 from ebb.types.types import Kind
 
@@ -22,6 +23,7 @@ LANE_MATH = frozenset({"sqrt", "abs", "floor", "ceil", "trunc", "round", "copysi
 
 _LANE_BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
 _SUMS = frozenset({"+", "*", "min", "max", "&", "|", "^"})
+_CHANGES = _SUMS | {"-"}
 
 WORK_OF_A_SUM = 4
 """A loop of less work a turn than this, for each sum and once more, is left as it is: adding the lanes of each sum up,
@@ -121,52 +123,6 @@ def plan_strips(loop: lir.For, reads: Mapping[int, int], vector_math: VectorForm
         return None
 
 
-def variable_reads(body: lir.Body) -> Counter[int]:
-    """How often ``body`` reads each variable, by number."""
-    return Counter(
-        stmt.operation.var.number
-        for stmt in statements(body)
-        if isinstance(stmt, lir.Let) and isinstance(stmt.operation, lir.LoadVar)
-    )
-
-
-def statements(body: lir.Body) -> Iterator[lir.Stmt]:
-    """All statements of ``body``, those of bodies inside it too."""
-    for stmt in body:
-        yield stmt
-        for inner in _bodies(stmt):
-            yield from statements(inner)
-
-
-def _bodies(stmt: lir.Stmt) -> tuple[lir.Body, ...]:
-    match stmt:
-        case lir.If(_, then, orelse):
-            return (then, orelse)
-        case lir.While(head, _, body):
-            return (head, body)
-        case lir.For(body=body) | lir.Block(body=body) | lir.RowLoop(body=body):
-            return (body,)
-        case _:
-            return ()
-
-
-def operands(operation: lir.Operation) -> tuple[lir.Value, ...]:
-    """The values that ``operation`` takes."""
-    match operation:
-        case lir.Unary(_, operand) | lir.Convert(operand):
-            return (operand,)
-        case lir.Binary(_, left, right) | lir.Compare(_, left, right):
-            return (left, right)
-        case lir.Select(condition, then, other):
-            return (condition, then, other)
-        case lir.Math(_, values):
-            return values
-        case lir.Load(_, index) | lir.LoadVar(_, index):
-            return (index,)
-        case lir.LoadArgument():
-            return ()
-
-
 def is_failure(stmt: lir.If) -> bool:
     """Whether ``stmt`` does nothing but fail."""
     arms = [arm for arm in (stmt.then, stmt.orelse) if arm]
@@ -194,7 +150,7 @@ class _Planner:
         lets = [stmt for stmt in statements(loop.body) if isinstance(stmt, lir.Let)]
         self.plan.definitions = {let.temp.number: let.operation for let in lets}
         self.uses = Counter(
-            value.number for stmt in statements(loop.body) for value in _used(stmt) if isinstance(value, lir.Temp)
+            value.number for stmt in statements(loop.body) for value in values(stmt) if isinstance(value, lir.Temp)
         )
         self.find_updates(loop.body)
         self.find_private(reads)
@@ -229,32 +185,24 @@ class _Planner:
         if not (isinstance(stored, lir.Temp) and self.uses[stored.number] == 1):
             return
         match self.plan.definitions.get(stored.number):
-            case lir.Binary(op, left, right) if op in _SUMS and self.reads(left, place, index):
-                self.take(stmt, stored, left, Update(place_key(place, index), op, right), place, index)
-            case lir.Binary(op, left, right) if op in _SUMS and self.reads(right, place, index):
-                self.take(stmt, stored, right, Update(place_key(place, index), op, left), place, index)
-            case lir.Binary("-", left, right) if self.reads(left, place, index):
-                self.take(stmt, stored, left, Update(place_key(place, index), "-", right), place, index)
-            case _:
+            case lir.Binary(op, lir.Temp() as before, value) if op in _CHANGES and self.reads(before, place, index):
                 pass
+            case lir.Binary(op, value, lir.Temp() as before) if op in _SUMS and self.reads(before, place, index):
+                pass
+            case _:
+                return
+        self.plan.skipped |= {stored.number, before.number}
+        self.add_update(stmt, place, index, Update(place_key(place, index), op, value))
 
-    def reads(self, value: lir.Value, place: lir.Slot | lir.Var, index: lir.Value) -> bool:
+    def reads(self, value: lir.Temp, place: lir.Slot | lir.Var, index: lir.Value) -> bool:
         """Whether ``value`` is what was in the place, and is used for nothing else."""
-        if not (isinstance(value, lir.Temp) and self.uses[value.number] == 1):
+        if self.uses[value.number] != 1:
             return False
         match self.plan.definitions.get(value.number):
             case lir.Load(read, at) | lir.LoadVar(read, at):
                 return read == place and at == index
             case _:
                 return False
-
-    def take(
-        self, stmt: lir.Stmt, stored: lir.Value, loaded: lir.Value, update: Update, place: lir.Slot | lir.Var,
-        index: lir.Value,
-    ) -> None:  # fmt: skip
-        assert isinstance(stored, lir.Temp) and isinstance(loaded, lir.Temp)
-        self.plan.skipped |= {stored.number, loaded.number}
-        self.add_update(stmt, place, index, update)
 
     def add_update(self, stmt: lir.Stmt, place: lir.Slot | lir.Var, index: lir.Value, update: Update) -> None:
         op = "+" if update.op == "-" else update.op
@@ -461,24 +409,3 @@ def place_key(place: lir.Slot | lir.Var, index: lir.Value) -> PlaceKey:
     """The key of a place."""
     kind = "slot" if isinstance(place, lir.Slot) else "var"
     return kind, place.number, index.number if isinstance(index, lir.Temp) else f"literal {index.value}"
-
-
-def _used(stmt: lir.Stmt) -> tuple[lir.Value, ...]:
-    """The values that ``stmt`` itself uses."""
-    match stmt:
-        case lir.Let(_, operation):
-            return operands(operation)
-        case lir.StoreVar(_, index, value) | lir.Store(_, index, value) | lir.Accumulate(_, index, _, value):
-            return (index, value)
-        case lir.If(condition, _, _):
-            return (condition,)
-        case lir.While(_, condition, _):
-            return (condition,)
-        case lir.For(_, start, stop, _):
-            return (start, stop)
-        case lir.Fail(_, position, payload):
-            return (position, *payload)
-        case lir.Print(_, _, position, values):
-            return (position, *values)
-        case _:
-            return ()
