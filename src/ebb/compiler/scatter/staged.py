@@ -25,7 +25,7 @@ from ebb.relations.inverse import hidden_index, index_keys
 from ebb.relations.relation import Relation
 from ebb.runtime.buffer import Array, Buffer
 from ebb.types.arithmetic import identity_of
-from ebb.types.types import Type, int32, matrix, vector
+from ebb.types.types import int32, matrix, vector
 
 
 @record(eq=False)
@@ -130,7 +130,7 @@ def _staged_body(kernel: kir.Kernel, stages: Sequence[Stage]) -> kir.Body:
         if not isinstance(stmt, kir.ReduceField) or stmt not in places:
             return (stmt,)
         each, number = places[stmt]
-        indices = (_number(number, stmt.span), *stmt.indices)
+        indices = (kir.Const(number, int32, stmt.span), *stmt.indices)
         write = kir.WriteField(each.place, own, indices, stmt.value, stmt.span)
         # Nobody needs the key here, but to look at it may fail, and the index leaves out whatever is no row.
         target = kir.Local("target", free + number_of[stmt], stmt.key.type)
@@ -159,15 +159,7 @@ def _gathering(kernel: kir.Kernel, each: Stage) -> kir.Kernel:
     row = kir.Local("target", 0, target.key_type)
     member = kir.Local("given", 1, each.contributions.relation.key_type)
     own = kir.ReadLocal(row, row.type, span)
-    value = _read(each.contributions, kir.ReadLocal(member, member.type, span), each.field.type, span)
+    value = kir.ReadField(each.contributions, kir.ReadLocal(member, member.type, span), each.field.type, span)
     change = kir.ReduceField(each.field, own, (), each.op, value, span)
     body = (kir.ForQuery(member, each.index, own, (change,), span),)
     return kir.Kernel(kernel.name, target, row, kernel.uniforms, body, span)
-
-
-def _read(field: Field, key: kir.Expr, type_: Type, span: Span) -> kir.ReadField:
-    return kir.ReadField(field, key, type_, span)
-
-
-def _number(value: int, span: Span) -> kir.Const:
-    return kir.Const(value, int32, span)

@@ -19,7 +19,6 @@ from ebb.compiler.phases.centered import Centered, find_centered, single_assignm
 from ebb.compiler.phases.stencil import Coordinates, find_outside, map_coordinates, open_mesh, settled, target_of
 from ebb.compiler.phases.table import PhaseKind, PhaseTable
 from ebb.compiler.scatter.keys import certain_locals
-from ebb.diagnostics.span import Span
 from ebb.records import field, record, replace
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
@@ -72,11 +71,9 @@ class NotStatic:
     """Why the places are not known before the launch.
 
     Attributes:
-        span: the key that cannot be followed.
         why: what it depends on, for ``explain``.
     """
 
-    span: Span
     why: str
 
 
@@ -108,9 +105,9 @@ def own_positions(rows: RowSet) -> Array | None:
 class _UnknownError(Exception):
     """A key cannot be followed."""
 
-    def __init__(self, span: Span, why: str) -> None:
+    def __init__(self, why: str) -> None:
         super().__init__(why)
-        self.reason = NotStatic(span, why)
+        self.reason = NotStatic(why)
 
 
 @record(eq=False)
@@ -175,16 +172,16 @@ class _Follower:
         )
 
     def reduce(self, stmt: kir.ReduceField, scope: _Scope) -> None:
-        self.count(scope.size, stmt.span)
+        self.count(scope.size)
         rows = self.rows(stmt.key, scope)
         if isinstance(rows, slice):
             rows = np.arange(scope.size, dtype=stmt.field.relation.key_dtype)
         self.places.append(Touched(stmt, rows, scope.owners))
 
-    def count(self, more: int, span: Span) -> None:
+    def count(self, more: int) -> None:
         self.total += more
         if self.total > MOST_TOUCHED:
-            raise _UnknownError(span, "there are too many places to list")
+            raise _UnknownError("there are too many places to list")
 
     def for_range(self, stmt: kir.ForRange, scope: _Scope) -> None:
         if not self.reduces(stmt.body):
@@ -212,7 +209,7 @@ class _Follower:
                 stops = np.where(keys < 0, starts, stops)
         counts = stops - starts
         total = int(counts.sum())
-        self.count(total, stmt.span)
+        self.count(total)
         ends = np.cumsum(counts)
         members = np.arange(total) + np.repeat(starts - (ends - counts), counts)
         owners = np.arange(scope.size) if scope.owners is None else scope.owners
@@ -237,7 +234,7 @@ class _Follower:
             case kir.ReadField() | kir.Component():
                 return self.keys(key, scope)
             case _:
-                raise _UnknownError(key.span, _dependence(key))
+                raise _UnknownError(_dependence(key))
 
     def own_rows(self, scope: _Scope) -> _Rows:
         if scope.owners is None:
@@ -256,17 +253,17 @@ class _Follower:
             case kir.ReadLocal(local) if local.uid in self.values:
                 return self.keys(self.values[local.uid], scope, index)
             case kir.ReadField(source, key):
-                return self.read_keys(source, self.rows(key, scope), index, expr.span)
+                return self.read_keys(source, self.rows(key, scope), index)
             case kir.Build(elements) if len(index) == 1 and len(expr.type.shape) == 1:
                 rows = self.rows(elements[index[0]], scope)
                 return np.arange(scope.size) if isinstance(rows, slice) else rows
             case _:
-                raise _UnknownError(expr.span, _dependence(expr))
+                raise _UnknownError(_dependence(expr))
 
-    def read_keys(self, source: Field, rows: _Rows, index: tuple[int, ...], span: Span) -> Array:
+    def read_keys(self, source: Field, rows: _Rows, index: tuple[int, ...]) -> Array:
         phase = self.phases.fields.get(source)
         if phase is None or phase.kind is not PhaseKind.READ:
-            raise _UnknownError(span, f"the kernel changes '{source.path}'")
+            raise _UnknownError(f"the kernel changes '{source.path}'")
         self.read[source] = None
         found: Array = source.data[(rows, *index)]
         if self.unset and not isinstance(rows, slice):
@@ -284,7 +281,7 @@ class _Follower:
             case kir.Cast(operand):
                 return self.number(operand, scope)
             case _:
-                raise _UnknownError(expr.span, _dependence(expr))
+                raise _UnknownError(_dependence(expr))
 
     # ---- Grids ----
 
