@@ -8,18 +8,16 @@ from __future__ import annotations
 from collections import Counter
 
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import ebb
 from ebb.backends import tiles
 from ebb.compiler import lir
 from ebb.compiler.scatter import choose
 from ebb.compiler.scatter.choose import Way
 
-from .programs import defined, programs
-from .test_backends import run_on
-from .worlds import difference
+from .programs import programs
+from .test_backends import check_backends
 
 QUIET = {"deadline": None, "suppress_health_check": list(HealthCheck)}
 
@@ -46,15 +44,4 @@ def way(request, monkeypatch, tmp_path):
 @settings(max_examples=150, derandomize=True, **QUIET)
 @given(data=st.data())
 def test_every_way_gives_what_the_reference_gives(way, data):
-    program = data.draw(programs(40))
-    with defined(program) as kernel:
-        try:
-            kernel.check(program.relation)
-        except ebb.EbbError:
-            assume(False)
-        expected, failure = run_on(program, kernel, "reference")
-        for threads in (1, 3):
-            found, codes = run_on(program, kernel, "cpu", threads=threads)
-            assert codes == failure
-            if not failure:
-                assert difference(expected, found) is None
+    check_backends(data.draw(programs(40)))

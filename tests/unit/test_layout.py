@@ -91,7 +91,7 @@ def test_keys_in_columns_are_mapped() -> None:
 def test_conversion_takes_no_more_memory_than_the_values_and_little_padding() -> None:
     buffer = Buffer((100_000, 3, 3), np.dtype(np.float32), COLUMNS)
     assert buffer.host.base is not None
-    assert column_stride(100_000, 4) * 9 * 4 <= 1.01 * buffer.nbytes
+    assert column_stride(100_000, 4) * 9 * 4 <= 1.01 * buffer.host.nbytes
     assert column_stride(1, 8) * 8 == ALIGNMENT
 
 

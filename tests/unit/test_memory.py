@@ -27,7 +27,7 @@ class Tally:
 
     def overhead(self, *relations):
         """All that is held, less the indexes, as a multiple of the fields."""
-        fields = sum(field.buffer.nbytes for relation in relations for field in relation.fields.values())
+        fields = sum(field.data.nbytes for relation in relations for field in relation.fields.values())
         return (self._now() - self._before - sum(map(index_bytes, relations))) / fields
 
     @staticmethod

@@ -50,11 +50,6 @@ class Buffer:
         result.host, result.address = host, host.ctypes.data
         return result
 
-    @property
-    def nbytes(self) -> int:
-        """The size of the values in bytes, without the padding between columns."""
-        return self.host.nbytes
-
     def in_layout(self, layout: Layout) -> Buffer:
         """The same values in ``layout``: this buffer if they lie so already, else a new one."""
         if layout is self.layout:
