@@ -11,6 +11,7 @@ from ebb.errors import RelationError
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
 from ebb.runtime.buffer import Buffer
+from ebb.runtime.epoch import structure
 from ebb.types.types import float64, int64, matrix, vector
 
 TAILS = [2, 0, 1, 0, 3, 2]
@@ -273,6 +274,51 @@ def test_a_permutation_that_fails_leaves_all_as_it_was(monkeypatch, step: str, w
         vertices.permute([2, 0, 1])
     assert [field.data.tolist() for field in fields] == before
     assert (vertices.storage.order, vertices.storage.version) == (None, 0)
+
+
+@pytest.mark.parametrize("works", range(4))
+def test_a_permutation_that_is_interrupted_late_is_carried_out(monkeypatch, works: int) -> None:
+    vertices, edges = Relation("vertices", size=3), Relation("edges", size=4)
+    fields = [
+        vertices.new_field("mass", float64, init=[1, 2, 3]),
+        vertices.new_field("left", vertices, init=[2, 0, 1]),
+        vertices.new_field("right", vertices, init=[1, 2, 0]),
+        edges.new_field("tail", vertices, init=[0, 1, 1, 2]),
+    ]
+    before = [field.to_numpy().tolist() for field in fields]
+    usual, count = Field.replace, itertools.count()
+
+    def interrupted(self, buffer):
+        if next(count) == works:
+            raise KeyboardInterrupt
+        usual(self, buffer)
+
+    monkeypatch.setattr(Field, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        vertices.permute([2, 0, 1])
+    assert [field.to_numpy().tolist() for field in fields] == before
+    assert (vertices.storage.order.tolist(), vertices.storage.version) == ([2, 0, 1], 1)
+
+
+@pytest.mark.parametrize("of_a_field", [False, True])
+def test_keys_that_an_interrupted_load_has_written_are_noticed(
+    monkeypatch, mesh: tuple[Relation, Relation], of_a_field: bool
+) -> None:
+    _, edges = mesh
+    edges.group_by("tail")
+    assert groups(edges.tail) == expected(TAILS, 4)
+    epoch, usual = structure.epoch, Field.changed
+
+    def interrupted(self):
+        if self.to_numpy().tolist() == HEADS:
+            raise KeyboardInterrupt
+        usual(self)
+
+    monkeypatch.setattr(Field, "changed", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        edges.tail.load(edges.head if of_a_field else HEADS)
+    assert structure.epoch is not epoch
+    assert groups(edges.tail) == expected(HEADS, 4)
 
 
 def test_a_grouping_that_is_interrupted_is_none(monkeypatch, mesh: tuple[Relation, Relation]) -> None:

@@ -210,16 +210,17 @@ class Field:
     def swap_with(self, other: Field) -> None:
         """Exchanges the values with those of a field of the same relation and type.
 
-        That takes constant time, but for the first time where one of the two lies in columns.
+        That takes constant time, but for the first time where one of the two lies in columns. The caller holds
+        ``launching()``.
         """
         if self.type.shape:
             join(self, other)
+        if self.holds_keys:
+            structure_changed()  # first, since an interrupt may come before any call; launches wait meanwhile
         self.buffer, other.buffer = other.buffer, self.buffer
         self._unset, other._unset = other._unset, self._unset
         self.version += 1
         other.version += 1
-        if self.holds_keys:
-            structure_changed()
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         if copy is False:
@@ -269,6 +270,7 @@ class Field:
             raise RelationError(ForeignField(self.relation.name, source.path))
         source.check_no_view()
         if source.type == self.type:
+            self.changed()  # before it too, as in _store
             np.copyto(self.data, source.data)
             self.changed()
             self._unset = source._unset
@@ -283,11 +285,14 @@ class Field:
         """Writes what ``converted`` gave."""
         size, shape = self.relation.size, self.type.shape
         order = self.relation.storage.order
-        if values.ndim <= len(shape):
-            self.data[...] = values
-        else:
+        rows = values
+        if values.ndim > len(shape):
             rows = values.reshape(size, *shape)
-            self.data[...] = rows if order is None else rows[order]
+            rows = rows if order is None else rows[order]
+        # Before it too: an interrupt while values are written would come before what follows, and they would be taken
+        # for those that were there.
+        self.changed()
+        self.data[...] = rows
         self.changed()
 
 

@@ -326,9 +326,19 @@ class Relation:
         buffers = {field: field.buffer.permuted(moves) for field in self._fields.values()}
         for field in list(self.storage.referrers):
             buffers[field] = buffers.get(field, field.buffer).mapped(moved)
-        self.storage.reorder(moves, moved)
-        for field, buffer in buffers.items():
-            field.replace(buffer)
+        order, rank = self.storage.moved(moves, moved)
+        version = self.storage.version + 1
+
+        def carry_out() -> None:
+            self.storage.take_order(order, rank, version)
+            for field, buffer in buffers.items():
+                field.replace(buffer)
+
+        try:
+            carry_out()
+        except BaseException:  # an interrupt: what has begun is brought to its end
+            carry_out()
+            raise
 
     def _group(self, field: Field) -> None:
         grouping = Grouping(field)

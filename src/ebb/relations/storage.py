@@ -79,13 +79,17 @@ class Storage:
             return positions
         return through_table(self.order, positions).astype(positions.dtype)
 
-    def reorder(self, order: Rows, moved: Rows) -> None:
-        """Records that the row at position ``order[p]`` has moved to ``p``; ``moved`` is the inverse of ``order``."""
+    def moved(self, order: Rows, moved: Rows) -> tuple[Array, Array]:
+        """The order and the rank when the row at position ``order[p]`` moves to ``p``; ``moved`` is its inverse."""
         identities = order if self.order is None else self.order[order]
         ranks = moved if self.rank is None else moved[self.rank]
-        self.order, self.rank = identities.astype(self.key_dtype), ranks.astype(self.key_dtype)
+        return identities.astype(self.key_dtype), ranks.astype(self.key_dtype)
+
+    def take_order(self, order: Array, rank: Array, version: int) -> None:
+        """Records where the rows have moved to. To do so once more changes nothing."""
+        self.order, self.rank = order, rank
         self.reason = None
-        self.version += 1
+        self.version = version
         structure_changed()
 
 
