@@ -11,7 +11,6 @@ from benchmarks.programs import BY_NAME, FMA_PER_STEP
 from benchmarks.systems.registry import SYSTEMS
 
 Results = Mapping[str, Any]
-NO_ROUNDS: Sequence[float] = ()
 
 
 @dataclass(frozen=True, slots=True)
