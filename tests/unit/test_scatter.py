@@ -392,6 +392,46 @@ def test_new_keys_are_planned_for(chain):
     np.testing.assert_array_equal(found, added(links, points, (links.a, np.ones(SIZE)), (links.b, np.ones(SIZE))))
 
 
+def test_rows_that_a_plan_moves_are_listed_where_they_are_then(tangle):
+    points, links = tangle
+    links.group_by("a")
+
+    @ebb.kernel
+    def scatter(k: links):
+        assert k.x < 100.0
+        k.b.sum += k.x
+        k.a.count += 1
+
+    @ebb.kernel
+    def again(k: links):
+        k.b.sum += k.x
+        k.a.count += 1
+
+    for kernel in (scatter, again):
+        links.a.load(np.random.default_rng(8).integers(0, 7_000, SIZE))
+        found, count = same_bits(kernel, links, points.sum, points.count)
+        np.testing.assert_allclose(found, added(links, points, (links.b, links.x)), atol=1e-4)
+        np.testing.assert_array_equal(count, added(links, points, (links.a, np.ones(SIZE))))
+
+
+def test_a_gather_is_given_up_once_its_rows_may_fail(tangle):
+    points, links = tangle
+    links.group_by("a")
+    points.new_field("x", ebb.float32, init=1.0)
+
+    @ebb.kernel
+    def scatter(k: links):
+        k.a.sum += k.b.x
+
+    (found,) = same_bits(scatter, links, points.sum)
+    np.testing.assert_array_equal(found, added(links, points, (links.a, np.ones(SIZE))))
+    assert said(scatter, links).startswith("gathered")
+    keys = np.ma.masked_array(links.b.to_numpy(), np.arange(SIZE) == 5_000)
+    links.b.load(keys)
+    with ebb.backend("cpu", reorder=False), pytest.raises(ebb.RelationError, match=r"row links\[5000\]"):
+        scatter(links)
+
+
 def test_keys_that_change_before_every_launch_get_no_index(chain):
     points, links = chain
 

@@ -98,6 +98,7 @@ class Planner:
         self._step = step
         self._rows = rows
         self._routes = find_routes(step.kernel, step.phases)
+        self._keys = sources_of(step.kernel).keys
         self._hidden: dict[Route, Field] = {}
         self._gathered: dict[tuple[Field, ...], list[Step]] = {}
         self._stages: tuple[tuple[Stage, ...], list[Step]] | None = None
@@ -139,6 +140,7 @@ class Planner:
         return (
             *[(field.version, field.grouping) for field in fields],
             *[relation.storage.version for relation in relations],
+            *[field.maybe_unset for field in self._keys],
         )
 
     # ---- The choice ----
@@ -148,7 +150,8 @@ class Planner:
         if rows.size < FEW_BLOCKS * BLOCK_ROWS:
             return self._in_order(f"fewer than {FEW_BLOCKS} blocks of {BLOCK_ROWS:,} rows")
         again = self._may_gather()
-        if again is not None and all(self._is_range(route) for route in again.all):
+        # Of every route, before anything is listed by position: a grouping that is refreshed may move rows.
+        if again is not None and all([self._is_range(route) for route in again.all]):
             return self._gather_ranges(again)
         touches = find_touched(step.kernel, step.phases, rows)
         if isinstance(touches, NotStatic):
