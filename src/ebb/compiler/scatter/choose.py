@@ -120,15 +120,17 @@ class Planner:
             return self._plan
         if self._builds >= 2 and now != before:
             read = self._plan.read if self._plan is not None else ()
-            return self._in_order("the keys changed before each of the last launches", read, settled=False)
+            return self.plan_in_order("the keys changed before each of the last launches", read, settled=False)
         self._builds += 1
         self._plan = self._make()
         self._made_at = self._seen = self._state()  # refreshing a grouping may have permuted its relation
         return self._plan
 
-    def plan_in_order(self, why: str) -> Plan:
-        """A plan that depends on no keys: row after row on one thread."""
-        return self._in_order(why)
+    def plan_in_order(self, why: str, read: tuple[Field, ...] = (), settled: bool = True) -> Plan:
+        """Row after row on one thread, for the reason ``why``; ``read`` and ``settled`` are those of the plan."""
+        order = f"one after the other, so that sums in other rows do not depend on the threads: {why}"
+        waves = in_order(len(self._starts()) - 1)
+        return Plan((Run(self._step, self._rows, waves),), ROW_AFTER_ROW, order, read, settled)
 
     def _state(self) -> object:
         """What a plan depends on of the data."""
@@ -148,14 +150,14 @@ class Planner:
     def _make(self) -> Plan:
         step, rows = self._step, self._rows
         if rows.size < FEW_BLOCKS * BLOCK_ROWS:
-            return self._in_order(f"fewer than {FEW_BLOCKS} blocks of {BLOCK_ROWS:,} rows")
+            return self.plan_in_order(f"fewer than {FEW_BLOCKS} blocks of {BLOCK_ROWS:,} rows")
         again = self._may_gather()
         # Of every route, before anything is listed by position: a grouping that is refreshed may move rows.
         if again is not None and all([self._is_range(route) for route in again.all]):
             return self._gather_ranges(again)
         touches = find_touched(step.kernel, step.phases, rows)
         if isinstance(touches, NotStatic):
-            return self._in_order(f"the places depend on {touches.why}")
+            return self.plan_in_order(f"the places depend on {touches.why}")
         waves = colour(touches.places, self._starts())
         times = {Way.IN_ORDER: self._time(step, rows) * WIDTH}
         if waves is not None:
@@ -180,12 +182,7 @@ class Planner:
                 assert self._stages is not None
                 return self._stage(self._stages, touches)
             case Way.IN_ORDER:
-                return self._in_order("no other way is clearly quicker", touches.read)
-
-    def _in_order(self, why: str, read: tuple[Field, ...] = (), settled: bool = True) -> Plan:
-        order = f"one after the other, so that sums in other rows do not depend on the threads: {why}"
-        waves = in_order(len(self._starts()) - 1)
-        return Plan((Run(self._step, self._rows, waves),), ROW_AFTER_ROW, order, read, settled)
+                return self.plan_in_order("no other way is clearly quicker", touches.read)
 
     # ---- Colours ----
 
