@@ -7,6 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ebb.records import record
 from ebb.runtime.buffer import Array
 from ebb.runtime.epoch import structure_changed
 
@@ -93,6 +94,7 @@ class Storage:
         structure_changed()
 
 
+@record(frozen=False, eq=False)
 class Watch:
     """How long the keys of a field have stayed as they are, and what has been decided for them.
 
@@ -103,13 +105,10 @@ class Watch:
         width: the widest rows for which has been decided whether they should lie in another order; 0 at first.
     """
 
-    __slots__ = ("calm", "patience", "version", "width")
-
-    def __init__(self, version: int) -> None:
-        self.version = version
-        self.calm = 0
-        self.patience = 2
-        self.width = 0
+    version: int
+    calm: int = 0
+    patience: int = 2
+    width: int = 0
 
     def restart(self, version: int) -> None:
         """The keys have changed."""
