@@ -12,7 +12,7 @@ from typing import Protocol
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.lane_ops import MASK, NUMBERS, LaneWriter, identity, suffix, wide, wide_type
-from ebb.backends.llvm.strips import PlaceKey, Plan, RowLoad, Sum, Update, is_failure
+from ebb.backends.llvm.strips import PlaceKey, RowLoad, StripPlan, Sum, Update, is_failure
 from ebb.backends.llvm.transpose import LANES, transposed, width_of
 from ebb.backends.llvm.writer import FunctionWriter
 from ebb.compiler import lir
@@ -59,7 +59,7 @@ class Emitter(Protocol):
         ...
 
 
-def emit_strips(emitter: Emitter, loop: lir.For, plan: Plan, flags: Flags, metadata: str) -> None:
+def emit_strips(emitter: Emitter, loop: lir.For, plan: StripPlan, flags: Flags, metadata: str) -> None:
     """Appends ``loop`` in strips; the function goes on behind it.
 
     Args:
@@ -75,7 +75,7 @@ def emit_strips(emitter: Emitter, loop: lir.For, plan: Plan, flags: Flags, metad
 class _Strip:
     """Emits one loop in strips."""
 
-    def __init__(self, emitter: Emitter, loop: lir.For, plan: Plan, flags: Flags) -> None:
+    def __init__(self, emitter: Emitter, loop: lir.For, plan: StripPlan, flags: Flags) -> None:
         self.e, self.w = emitter, emitter.w
         self.v = LaneWriter(self.w, flags.arithmetic)
         self.sum_flags = flags.sums

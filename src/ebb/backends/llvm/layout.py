@@ -8,7 +8,7 @@ from ebb.runtime.cpu import HEADER_WORDS
 
 
 @record
-class Layout:
+class BlockLayout:
     """The words of one program's argument block: where the slots and the arguments begin, and how many there are."""
 
     slots: int
@@ -16,7 +16,7 @@ class Layout:
     words: int
 
 
-def layout_of(program: lir.Program) -> Layout:
+def layout_of(program: lir.Program) -> BlockLayout:
     """The layout of the argument block of ``program``."""
     arguments = HEADER_WORDS + len(program.slots)
-    return Layout(slots=HEADER_WORDS, arguments=arguments, words=arguments + len(program.arguments))
+    return BlockLayout(slots=HEADER_WORDS, arguments=arguments, words=arguments + len(program.arguments))

@@ -64,7 +64,7 @@ class RowLoad:
     loads: list[tuple[int, lir.Temp]]
 
 
-class Plan:
+class StripPlan:
     """How a loop runs in strips.
 
     Attributes:
@@ -109,7 +109,7 @@ class _Unfit(Exception):  # noqa: N818 - no error: the loop is taken as it is
     """The loop cannot run in strips."""
 
 
-def plan_strips(loop: lir.For, reads: Mapping[int, int], vector_math: VectorForms) -> Plan | None:
+def plan_strips(loop: lir.For, reads: Mapping[int, int], vector_math: VectorForms) -> StripPlan | None:
     """How ``loop`` runs in strips, or None where it cannot.
 
     Args:
@@ -129,11 +129,11 @@ def is_failure(stmt: lir.If) -> bool:
     return len(arms) == 1 and len(arms[0]) == 1 and isinstance(arms[0][0], lir.Fail)
 
 
-def split(plan_: Plan, index: lir.Value) -> tuple[lir.Value, int]:
+def split(plan: StripPlan, index: lir.Value) -> tuple[lir.Value, int]:
     """``index`` as a root and a constant."""
     offset = 0
     while isinstance(index, lir.Temp):
-        match plan_.definitions.get(index.number):
+        match plan.definitions.get(index.number):
             case lir.Binary("+", root, lir.Literal(constant)):
                 index, offset = root, offset + constant
             case _:
@@ -146,7 +146,7 @@ class _Planner:
 
     def __init__(self, loop: lir.For, reads: Mapping[int, int], vector_math: VectorForms) -> None:
         self.loop, self.vector_math = loop, vector_math
-        self.plan = Plan()
+        self.plan = StripPlan()
         lets = [stmt for stmt in statements(loop.body) if isinstance(stmt, lir.Let)]
         self.plan.definitions = {let.temp.number: let.operation for let in lets}
         self.uses = Counter(

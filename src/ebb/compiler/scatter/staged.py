@@ -58,7 +58,7 @@ class Stage:
         by_stmt = {place.stmt: place.positions for place in places}
         keys = np.stack([by_stmt[part] for part in self.parts], axis=1)
         count = len(self.parts)
-        rows = None if own is None else (own[:, np.newaxis] * count + np.arange(count)).reshape(-1)
+        rows = None if own is None else (own.astype(np.int64)[:, np.newaxis] * count + np.arange(count)).reshape(-1)
         index_keys(self.index, keys.reshape(-1), rows)
 
 

@@ -25,7 +25,7 @@ from ebb.relations.relation import Relation
 from ebb.relations.subset import Box, RowSet
 from ebb.runtime.buffer import Array
 
-MOST_TOUCHED = 1 << 27
+MOST_TOUCHED = 1 << 26
 """More places than this are not listed."""
 
 _MOST_TURNS = 64
