@@ -103,56 +103,29 @@ def pcg_work(arrays: Arrays) -> Work:
 
 BOX = {Scale.FULL: 52, Scale.QUICK: 24, Scale.TINY: 3}
 
+
+def springs(
+    name: str, text: str, code: str, prepared: Callable[[Arrays], Arrays] = lambda arrays: arrays, against: str = ""
+) -> Program:
+    """A spring-mass program by ``code`` on the box, ``prepared`` first."""
+    return Program(
+        name,
+        f"spring-mass step, {text}",
+        code,
+        lambda n: prepared(data.springs(n)),
+        BOX,
+        expected.spring_steps,
+        work=gather_work if code == "gather" else scatter_work,
+        against=(against,) if against else (),
+    )
+
+
 PROGRAMS = (
-    Program(
-        "gather",
-        "spring-mass step, gather over the edges of a vertex",
-        "gather",
-        data.springs,
-        BOX,
-        expected.spring_steps,
-        work=gather_work,
-    ),
-    Program(
-        "scatter",
-        "spring-mass step, each directed edge adds to its tail",
-        "scatter",
-        data.springs,
-        BOX,
-        expected.spring_steps,
-        work=scatter_work,
-        against=("gather",),
-    ),
-    Program(
-        "both-ends",
-        "spring-mass step, each undirected edge adds to both ends",
-        "both-ends",
-        lambda n: data.undirected(data.springs(n)),
-        BOX,
-        expected.spring_steps,
-        work=scatter_work,
-        against=("gather",),
-    ),
-    Program(
-        "gather-shuffled",
-        "the gather step, rows of the mesh shuffled",
-        "gather",
-        lambda n: data.shuffled(data.springs(n)),
-        BOX,
-        expected.spring_steps,
-        work=gather_work,
-        against=("gather",),
-    ),
-    Program(
-        "scatter-shuffled",
-        "the scatter step, rows of the mesh shuffled",
-        "scatter",
-        lambda n: data.shuffled(data.springs(n)),
-        BOX,
-        expected.spring_steps,
-        work=scatter_work,
-        against=("scatter",),
-    ),
+    springs("gather", "gather over the edges of a vertex", "gather"),
+    springs("scatter", "each directed edge adds to its tail", "scatter", against="gather"),
+    springs("both-ends", "each undirected edge adds to both ends", "both-ends", data.undirected, "gather"),
+    springs("gather-shuffled", "the gather on shuffled rows of the mesh", "gather", data.shuffled, "gather"),
+    springs("scatter-shuffled", "the scatter on shuffled rows of the mesh", "scatter", data.shuffled, "scatter"),
     Program(
         "streaming",
         "y = a*x + y, 10^7 rows",

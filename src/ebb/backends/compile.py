@@ -49,9 +49,9 @@ def replay_code(target: Target, cache: ObjectCache) -> bytes:
     image = cache.get(key)
     if image is None:
         from ebb.backends.llvm.optimize import optimize
-        from ebb.backends.llvm.replay import replay_module
+        from ebb.backends.llvm.replay import REPLAY_MODULE
 
-        image = bytes(target.machine.emit_object(optimize(replay_module(), target)))
+        image = bytes(target.machine.emit_object(optimize(REPLAY_MODULE, target)))
         cache.put(key, image)
     return image
 

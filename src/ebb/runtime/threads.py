@@ -31,7 +31,7 @@ GRAIN_OF_PYTHON = 1_000_000.0
 _WAITING = {"GOMP_SPINCOUNT": "300"}
 """How libgomp's threads wait for work: some 15 us awake, then asleep. So they are at hand in a loop of launches, which
 are microseconds apart, and lose little where other processes need the cores. Its own default is 15 ms: with a core
-taken by another process, a launch of 0.3 ms took 8. Asleep at once, none was below 60 us on an idle machine."""
+taken by another process, a launch of 0.3 ms took 8. Asleep at once, a launch of little work took 65."""
 
 
 @record

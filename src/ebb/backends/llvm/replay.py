@@ -26,18 +26,13 @@ from ebb.runtime.replay import (
 )
 
 
-def replay_module() -> str:
-    """The module as LLVM assembly."""
-    return _TEXT
-
-
 def _word(name: str, base: str, number: int | str, type_: str = "i64") -> str:
     """Loads a word of the array ``base`` as ``name``; ``%name.at`` is where it lies."""
     place = f"%{name}.at = getelementptr inbounds i64, ptr %{base}, i64 {number}"
     return f"{place}\n  %{name} = load {type_}, ptr %{name}.at"
 
 
-_TEXT = f"""
+REPLAY_MODULE = f"""
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 
 define i64 @{REPLAY}(ptr %state) nounwind {{

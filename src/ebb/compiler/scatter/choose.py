@@ -20,7 +20,7 @@ from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.touched import NotStatic, Touches, find_touched, own_positions
 from ebb.compiler.scatter.waves import WIDTH, Waves, colour, efficiency, in_order
 from ebb.errors import RelationError
-from ebb.records import record
+from ebb.records import record, replace
 from ebb.relations.field import Field
 from ebb.relations.inverse import hidden_index, index_keys
 from ebb.relations.subset import RowSet
@@ -120,17 +120,18 @@ class Planner:
             return self._plan
         if self._builds >= 2 and now != before:
             read = self._plan.read if self._plan is not None else ()
-            return self.plan_in_order("the keys changed before each of the last launches", read, settled=False)
+            why = "the keys changed before each of the last launches"
+            return replace(self.plan_in_order(why, read), settled=False)
         self._builds += 1
         self._plan = self._make()
         self._made_at = self._seen = self._state()  # refreshing a grouping may have permuted its relation
         return self._plan
 
-    def plan_in_order(self, why: str, read: tuple[Field, ...] = (), settled: bool = True) -> Plan:
-        """Row after row on one thread, for the reason ``why``; ``read`` and ``settled`` are those of the plan."""
+    def plan_in_order(self, why: str, read: tuple[Field, ...] = ()) -> Plan:
+        """Row after row on one thread, for the reason ``why``; ``read`` is that of the plan."""
         order = f"one after the other, so that sums in other rows do not depend on the threads: {why}"
         waves = in_order(len(self._starts()) - 1)
-        return Plan((Run(self._step, self._rows, waves),), ROW_AFTER_ROW, order, read, settled)
+        return Plan((Run(self._step, self._rows, waves),), ROW_AFTER_ROW, order, read)
 
     def _state(self) -> object:
         """What a plan depends on of the data."""
@@ -168,7 +169,10 @@ class Planner:
         if parts is not None:
             self._stages = self._stages or self._make_stages(parts)
             times[Way.STAGE] = self._stage_time(self._stages)
-        return self._by(quickest(times), touches, waves)
+        way = quickest(times)
+        if way is not Way.STAGE:
+            self._stages = None  # they were made to be weighed, and hold memory
+        return self._by(way, touches, waves)
 
     def _by(self, way: Way, touches: Touches, waves: Waves | None) -> Plan:
         match way:
