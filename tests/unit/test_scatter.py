@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 
 import ebb
+from ebb.compiler.scatter.staged import Stage
 
 SIZE = 100_003
 """Rows: 98 blocks, the last one not whole."""
@@ -138,6 +141,26 @@ def test_a_tangle_of_one_key_is_gathered_through_an_index_of_its_own(tangle):
     np.testing.assert_allclose(found, np.outer(expected, [1, 2, 3]), atol=1e-4)
     assert said(scatter, links).startswith("gathered through the inverse of links.a: each value is computed")
     assert links.a.grouping is None and set(links.fields) == {"a", "b", "x", "n", "out"}
+
+
+def test_stages_that_were_only_weighed_are_let_go():
+    nodes, links = ebb.Relation("nodes", size=20_000), ebb.Relation("links", size=40_000)
+    nodes.new_field("sum", ebb.float32)
+    near = np.arange(40_000) // 2
+    for name, keys in (("a", near), ("b", np.minimum(near + 1, 19_999))):
+        links.new_field(name, nodes, init=keys)
+
+    @ebb.kernel
+    def scatter(e: links):
+        e.a.sum += 1
+        e.b.sum += 1
+
+    for _ in range(2):
+        scatter(links)
+    assert "staged" not in said(scatter, links)
+    gc.collect()
+    made = [each for each in gc.get_objects() if isinstance(each, Stage)]
+    assert not [each for each in made if each.field is nodes.sum]
 
 
 def test_a_tangle_whose_rows_may_fail_is_staged(tangle):
