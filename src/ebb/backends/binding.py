@@ -14,6 +14,7 @@ import numpy as np
 
 from ebb.backends.llvm.layout import layout_of
 from ebb.backends.printing import PrintBuffer
+from ebb.backends.sources import constant_value, index_array, random_word
 from ebb.backends.tiles import tile_boxes
 from ebb.compiler import kir, lir
 from ebb.compiler.cost import cost_of
@@ -21,10 +22,9 @@ from ebb.compiler.lower import error_at
 from ebb.compiler.scatter.waves import Waves
 from ebb.errors import EbbError
 from ebb.relations.field import Field
-from ebb.relations.grouping import Grouping
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
-from ebb.runtime.buffer import Array, aligned_zeros, column_stride
+from ebb.runtime.buffer import Array, aligned_zeros
 from ebb.runtime.cpu import BLOCKS, BOXES, ITEMS, ROWS, STARTS, THREADS, WAVES, ArgumentBlock, CpuCode, CpuDevice
 from ebb.runtime.threads import worthwhile_threads
 from ebb.types.types import Kind, ScalarType
@@ -69,7 +69,7 @@ class Binding:
         self._fields: list[Field] = []
         self._field_words: list[int] = []
         self._addresses: list[int] = []
-        self._sources: list[tuple[int, Callable[[], Array | None]]] = []
+        self._sources: list[tuple[int, Callable[[], Array]]] = []
         self._arrays: list[Array] = []
         self._numbers: list[tuple[memoryview[Any], int, int]] = []
         self._components: list[tuple[memoryview[Any], int, int, int]] = []
@@ -92,7 +92,6 @@ class Binding:
         arrays: list[Array] = []
         for word, source in self._sources:
             array = source()
-            assert array is not None
             self._block.words[word] = array.ctypes.data
             arrays.append(array)
         self._arrays = arrays  # held while their addresses are in use
@@ -146,13 +145,8 @@ class Binding:
 
     def place_key(self, words: Array, key: random.LaunchKey) -> None:
         """Puts what makes the random numbers of a launch its own into the words of an argument block."""
-        values = {
-            lir.RandomWord.SEED_LOW: key.seed & 0xFFFFFFFF,
-            lir.RandomWord.SEED_HIGH: key.seed >> 32,
-            lir.RandomWord.LAUNCH: key.launch,
-        }
         for name, word in self.random_words.items():
-            words[word] = values[name]
+            words[word] = random_word(name, key)
 
     def take_failure(self) -> EbbError:
         """The error of the row that failed first in the launch that has just failed; the records are cleared."""
@@ -219,14 +213,6 @@ class Binding:
             case lir.FieldData(field):
                 self._fields.append(field)
                 self._field_words.append(word)
-            case lir.GroupOffsets(index):
-                self._sources.append((word, lambda: _grouping(index).offsets))
-            case lir.GroupRows(index):
-                self._sources.append((word, lambda: _grouping(index).rows))
-            case lir.RowOrder(relation):
-                self._sources.append((word, lambda: relation.storage.order))
-            case lir.LaunchPositions():
-                self._sources.append((word, rows.row_positions))
             case lir.GlobalData(globl):
                 self._sources.append((word, lambda: globl.data))
             case lir.Partials(_, sum_):
@@ -234,6 +220,8 @@ class Binding:
             case lir.PrintRecords():
                 self._prints = PrintBuffer(self._kernel, self._program)
                 self._block.words[word] = self._prints.address
+            case index:
+                self._sources.append((word, lambda: index_array(index, rows)))
 
     def _keep(self, word: int, shape: tuple[int, ...], scalar: ScalarType) -> None:
         array = aligned_zeros(shape, scalar.dtype)
@@ -243,12 +231,6 @@ class Binding:
     def _bind_argument(self, argument: lir.Argument) -> None:
         word = self._layout.arguments + argument.number
         match argument.binding:
-            case lir.Extent(relation, dimension):
-                self._block.words[word] = relation.shape[dimension]
-            case lir.ColumnStride(relation, itemsize):
-                self._block.words[word] = column_stride(relation.size, itemsize)
-            case lir.BlockCount():
-                self._block.words[word] = self._blocks
             case lir.RandomWord():
                 self.random_words[argument.binding] = word
             case lir.UniformComponent(uniform, component):
@@ -258,8 +240,5 @@ class Binding:
                     self._components.append((view, place, uniform, component))
                 else:
                     self._numbers.append((view, place, uniform))
-
-
-def _grouping(index: Field) -> Grouping:
-    assert index.grouping is not None
-    return index.grouping
+            case constant:
+                self._block.words[word] = constant_value(constant, self._blocks)
