@@ -8,9 +8,10 @@ from functools import cache
 from pathlib import Path
 
 from ebb.backends.backend import Bound, CheckedKernel, How, Operation
+from ebb.backends.binding import Binding
 from ebb.backends.cache import ObjectCache, cache_directory
-from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, replay_code
-from ebb.backends.kernel_code import Bindings, KernelCode, NoRows, launched_as
+from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, object_code, replay_code
+from ebb.backends.kernel_code import Bindings, KernelCode, Lowering, NoRows
 from ebb.backends.replay import Replay
 from ebb.backends.target import Target, host
 from ebb.backends.tiles import block_starts
@@ -25,7 +26,7 @@ from ebb.errors import BackendError
 from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.subset import RowSet
-from ebb.runtime.cpu import CpuDevice, ReplayCode
+from ebb.runtime.cpu import CpuCode, CpuDevice, ReplayCode
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.errors import BadSwitch
 from ebb.runtime.threads import openmp, thread_count
@@ -109,7 +110,9 @@ class CpuExecutable:
         self._backend = backend
         self._step = Step(checked.kernel, checked.phases, tuple(access.node for access in checked.stencil))
         self._in_order = why_in_order(checked.kernel, checked.phases)
-        self._codes: dict[Step, KernelCode] = {}
+        precision = lir.Precision.FAST if checked.hints.fastmath else lir.Precision.CONTRACT
+        self._lowering = Lowering(precision, backend.updates)
+        self._codes: dict[Step, KernelCode[CpuCode, Binding]] = {}
         self._planners: dict[RowSet, Planner] = {}
 
     def bind(self, rows: RowSet, changing: AbstractSet[Field] = frozenset()) -> Bound:
@@ -129,7 +132,7 @@ class CpuExecutable:
             plan = self._planners[rows].plan_in_order("its keys change within a captured step")
         if not plan.settled:
             structure_changed()  # so that the next launch is planned again
-        bound = [self._code(run.step).bind(run.rows, run.waves) for run in plan.runs if run.rows.size]
+        bound = [self._bind(run) for run in plan.runs if run.rows.size]
         return bound[0] if len(bound) == 1 else Bindings(bound)
 
     def plan(self, rows: RowSet) -> Plan:
@@ -164,14 +167,23 @@ class CpuExecutable:
         steps = [(self._step, rows)]
         if rows.size:
             steps = [(run.step, run.rows) for run in self.plan(rows).runs]
-        programs = [self._code(step).program(launched_as(of)) for step, of in steps]
+        programs = [self._code(step).program(of) for step, of in steps]
         return "\n".join(_STAGES[stage](program, host()) for program in programs)
 
-    def _code(self, step: Step) -> KernelCode:
+    def _bind(self, run: Run) -> Binding:
+        binding = self._code(run.step).bind(run.rows)
+        binding.settle(run.waves)
+        return binding
+
+    def _code(self, step: Step) -> KernelCode[CpuCode, Binding]:
         code = self._codes.get(step)
         if code is None:
-            precision = lir.Precision.FAST if self._checked.hints.fastmath else lir.Precision.CONTRACT
-            code = self._codes[step] = KernelCode(
-                step, precision, self._backend.updates, self._backend.device, self._backend.cache
-            )
+            code = self._codes[step] = KernelCode(step, self._lowering, self._load, self._attach)
         return code
+
+    def _load(self, program: lir.Program) -> CpuCode:
+        backend = self._backend
+        return backend.device.load(program.name, object_code(program, host(), backend.cache))
+
+    def _attach(self, step: Step, program: lir.Program, code: CpuCode, rows: RowSet) -> Binding:
+        return Binding(step.kernel, program, code, self._backend.device, rows)

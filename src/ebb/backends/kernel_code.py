@@ -1,45 +1,74 @@
-"""The machine code of one kernel: compiled for each way in which its rows and its data have been met, and bound."""
+"""The code of one kernel: compiled for each way in which its rows and its data have been met, and bound."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
 
-from ebb.backends.binding import Binding
-from ebb.backends.cache import ObjectCache
-from ebb.backends.compile import object_code
-from ebb.backends.target import host
+from ebb.backends.backend import Bound
 from ebb.compiler import lir
 from ebb.compiler.lower import Launched, lower, sources_of
-from ebb.compiler.lower.facts import State
+from ebb.compiler.lower.facts import Facts, State
 from ebb.compiler.scatter.step import Step
-from ebb.compiler.scatter.waves import Waves
 from ebb.records import record
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
-from ebb.runtime.cpu import CpuCode, CpuDevice
+
+_Code = TypeVar("_Code")
+_Binding = TypeVar("_Binding", bound=Bound)
 
 
-class KernelCode:
-    """One kernel on the processor."""
+@record
+class Lowering:
+    """How kernels become programs.
+
+    Attributes:
+        precision: what the optimiser may do to floats.
+        updates: how rows reduce into other rows.
+        group_size: the threads of a work-group, None on the processor.
+    """
+
+    precision: lir.Precision
+    updates: lir.Updates
+    group_size: int | None = None
+
+    def lower(self, step: Step, facts: Facts, launched: Launched) -> lir.Program:
+        """The program of ``step`` for data of which ``facts`` hold and rows that are given as ``launched``."""
+        more = () if self.group_size is None else (self.group_size,)
+        return lower(step.kernel, step.phases, step.unchecked, facts, launched, self.precision, self.updates, *more)
+
+
+class KernelCode(Generic[_Code, _Binding]):
+    """One kernel on one backend."""
 
     def __init__(
-        self, step: Step, precision: lir.Precision, updates: lir.Updates, device: CpuDevice, cache: ObjectCache
+        self,
+        step: Step,
+        lowering: Lowering,
+        load: Callable[[lir.Program], _Code],
+        attach: Callable[[Step, lir.Program, _Code, RowSet], _Binding],
     ) -> None:
-        self._step = step
-        self._precision = precision
-        self._updates = updates
-        self._device = device
-        self._cache = cache
-        self._sources = sources_of(step.kernel)
-        self._compiled: dict[tuple[Launched, State], tuple[lir.Program, CpuCode]] = {}
-        self._bindings: dict[tuple[RowSet, State], Binding] = {}
+        """A kernel of which nothing is compiled yet.
 
-    def bind(self, rows: RowSet, waves: Waves | None) -> Binding:
+        Args:
+            step: the kernel.
+            lowering: how it becomes a program.
+            load: compiles a program and loads it.
+            attach: binds it to rows.
+        """
+        self._step = step
+        self._lowering = lowering
+        self._load = load
+        self._attach = attach
+        self._sources = sources_of(step.kernel)
+        self._compiled: dict[tuple[Launched, State], tuple[lir.Program, _Code]] = {}
+        self._bindings: dict[tuple[RowSet, State], _Binding] = {}
+
+    def bind(self, rows: RowSet) -> _Binding:
         """The code for the data as it is, bound to ``rows``: compiled, where it is met so for the first time.
 
         Args:
             rows: what it runs on, at least one row. The groupings that the kernel queries are valid.
-            waves: which blocks may run at once; None for all.
 
         Raises:
             BackendError: the code cannot be compiled.
@@ -48,26 +77,19 @@ class KernelCode:
         binding = self._bindings.get((rows, state))
         if binding is None:
             program, code = self._compile(launched_as(rows), state)
-            binding = self._bindings[rows, state] = Binding(self._step.kernel, program, code, self._device, rows)
-        binding.settle(waves)
+            binding = self._bindings[rows, state] = self._attach(self._step, program, code, rows)
         return binding
 
-    def program(self, launched: Launched) -> lir.Program:
-        """The program for the data as it is."""
-        return self._lower(launched, self._sources.state())
+    def program(self, rows: RowSet) -> lir.Program:
+        """The program for a launch on ``rows`` and the data as they are."""
+        return self._lowering.lower(self._step, self._sources.facts(self._sources.state()), launched_as(rows))
 
-    def _compile(self, launched: Launched, state: State) -> tuple[lir.Program, CpuCode]:
+    def _compile(self, launched: Launched, state: State) -> tuple[lir.Program, _Code]:
         found = self._compiled.get((launched, state))
         if found is None:
-            program = self._lower(launched, state)
-            code = self._device.load(program.name, object_code(program, host(), self._cache))
-            found = self._compiled[launched, state] = program, code
+            program = self._lowering.lower(self._step, self._sources.facts(state), launched)
+            found = self._compiled[launched, state] = program, self._load(program)
         return found
-
-    def _lower(self, launched: Launched, state: State) -> lir.Program:
-        step = self._step
-        facts = self._sources.facts(state)
-        return lower(step.kernel, step.phases, step.unchecked, facts, launched, self._precision, self._updates)
 
 
 class Bindings:
@@ -79,7 +101,7 @@ class Bindings:
 
     __slots__ = ("bindings",)
 
-    def __init__(self, bindings: Sequence[Binding]) -> None:
+    def __init__(self, bindings: Sequence[Bound]) -> None:
         self.bindings = tuple(bindings)
 
     def run(self, uniforms: Sequence[object]) -> None:
