@@ -1,10 +1,12 @@
-"""LIR, the low-level IR: how the rows of a kernel are computed, for every target. The whole grammar is this file.
+"""LIR, the low-level IR: how the rows of a kernel are computed, for every target.
+
+The whole grammar is this file, but for what stands behind slots and arguments: that is ``lir_bindings``.
 
 Scalars only, in A-normal form: an operation takes values (temporaries and literals) and defines one temporary;
 control flow is structured; memory is *slots*, distinct buffers that never overlap, indexed by element. A program is one
-function over a *block* of rows, a fixed stretch that some thread (or workgroup) takes, and one that finishes the
-launch. It holds no data: what stands behind a slot or an argument is a binding, looked up at each launch, so the text
-of a program is the same for every launch and may key a cache.
+function over a *block* of rows, a fixed stretch that a thread takes or rows that a group of threads share, and one that
+finishes the launch. It holds no data: what stands behind a slot or an argument is a binding, looked up at each launch,
+so the text of a program is the same for every launch and may key a cache.
 
 Arithmetic is total: integer division by zero is 0, overflow wraps, shifts by too much give 0 (-1 for ``>>`` of a
 negative number), floats to integers saturate. Keys are int64 positions; memory may hold them as int32.
@@ -14,117 +16,43 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
+from ebb.compiler.lir_bindings import (
+    BlockCount,
+    ColumnStride,
+    Extent,
+    FieldData,
+    GlobalData,
+    GroupOffsets,
+    GroupRows,
+    LaunchPositions,
+    Partials,
+    PrintRecords,
+    RandomWord,
+    RowOrder,
+    UniformComponent,
+)
 from ebb.records import record
 from ebb.types.types import ScalarType
 
-if TYPE_CHECKING:
-    from ebb.relations.field import Field
-    from ebb.relations.globals import Global
-    from ebb.relations.relation import Relation
-
 BLOCK_ROWS = 1024
-"""The rows of a block. Part of the meaning: partial results are per block, whatever the number of threads."""
+"""The rows of a block that one thread takes. Part of the meaning: partial results are per block, whatever the number of
+threads."""
 
-# ---- Bindings: what the runtime puts behind a slot or an argument at each launch. ----
+MOST_THREADS = 1024
+"""The most threads that a group may have."""
 
+MOST_GROUPS = 1024
+"""The most groups of a launch whose threads take several rows each, and so the most partial results."""
 
-@record
-class FieldData:
-    field: Field
-
-
-@record
-class GroupOffsets:
-    """Where each group of the grouping of ``index`` starts; one more entry than the target has rows."""
-
-    index: Field
-
-
-@record
-class GroupRows:
-    """The positions of the grouped rows, where the storage is not sorted by ``index``."""
-
-    index: Field
-
-
-@record
-class RowOrder:
-    """The identity of the row at each position of ``relation``."""
-
-    relation: Relation
-
-
-@record
-class GlobalData:
-    globl: Global
-
-
-@record
-class Partials:
-    """What each block has summed in ``sum`` by the reduction number ``reduction``, one block after the other."""
-
-    reduction: int
-    sum: Var
-
-
-@record
-class LaunchPositions:
-    """The positions of the rows to run on, where they are given as a list."""
-
-
-@record
-class PrintRecords:
-    """Records of ``PRINT_HEADER + Program.print_words`` int64 words from ``PRINT_RECORDS`` on, behind how many prints
-    there were (``PRINT_COUNTER``) and how many records there is room for (``PRINT_CAPACITY``)."""
-
+# ---- Values and places. ----
 
 SlotBinding: TypeAlias = (
     FieldData | GroupOffsets | GroupRows | RowOrder | GlobalData | Partials | LaunchPositions | PrintRecords
 )
 
-
-@record
-class UniformComponent:
-    uniform: int
-    component: int
-
-
-@record
-class Extent:
-    """``relation.shape[dimension]``."""
-
-    relation: Relation
-    dimension: int
-
-
-@record
-class ColumnStride:
-    """How many elements after a column of a field of ``relation`` the next one begins, in the layout of columns, for
-    elements of ``itemsize`` bytes.
-    """
-
-    relation: Relation
-    itemsize: int
-
-
-@record
-class BlockCount:
-    """How many blocks the launch has."""
-
-
-class RandomWord(Enum):
-    """A word of the key or the counter of the random numbers that is the same for a whole launch."""
-
-    SEED_LOW = "seed low"
-    SEED_HIGH = "seed high"
-    LAUNCH = "launch"
-
-
 ArgumentBinding: TypeAlias = UniformComponent | Extent | ColumnStride | BlockCount | RandomWord
-
-# ---- Values and places. ----
 
 
 class Access(Enum):
@@ -170,14 +98,22 @@ class Literal:
 Value: TypeAlias = Temp | Literal
 
 
+class Memory(Enum):
+    """Whose a variable is: of each thread its own, zero where it is declared, or of a group, undefined at first."""
+
+    PRIVATE = "private"
+    GROUP = "group"
+
+
 @record
 class Var:
-    """A private array of ``size`` scalars, zero where it is declared."""
+    """An array of ``size`` scalars."""
 
     number: int
     name: str
     type: ScalarType
     size: int
+    memory: Memory
 
 
 @record
@@ -256,7 +192,14 @@ class LoadArgument:
     argument: Argument
 
 
-Operation: TypeAlias = Unary | Binary | Compare | Select | Convert | Math | Load | LoadVar | LoadArgument
+@record
+class ThreadNumber:
+    """The number of the thread in its group, an int64."""
+
+
+Operation: TypeAlias = (
+    Unary | Binary | Compare | Select | Convert | Math | Load | LoadVar | LoadArgument | ThreadNumber
+)  # fmt: skip
 
 _UNARY_FUNCTIONS = (
     "abs", "sqrt", "cbrt", "exp", "log", "log2", "log10", "exp2", "expm1", "log1p", "sin", "cos", "tan", "asin",
@@ -283,7 +226,7 @@ class Let:
 
 @record
 class Declare:
-    """``var`` comes into being and is zero."""
+    """``var`` comes into being."""
 
     var: Var
 
@@ -378,7 +321,7 @@ class Rows(Enum):
 
 @record
 class RowLoop:
-    """``body`` for each row of the block. On a CPU it is a loop, on a GPU the thread.
+    """``body`` for each row of the block, or on groups for each of the thread's rows, as ``Program.coverage`` says.
 
     ``index`` has one temporary, the number of the row in the launch, or on a box one a dimension, the coordinates.
     """
@@ -389,8 +332,16 @@ class RowLoop:
 
 
 @record
+class Barrier:
+    """All threads of the group get here before any goes on, and see what the others have stored in its variables."""
+
+
+@record
 class Fail:
-    """The launch has failed at ``Program.sites[site]`` in the row at ``position``; ``payload`` says how."""
+    """The launch has failed at ``Program.sites[site]`` in the row at ``position``; ``payload`` says how.
+
+    The row ends here. So does the block of a thread; the threads of a group go on, since others wait at barriers.
+    """
 
     site: int
     position: Value
@@ -408,8 +359,8 @@ class Print:
 
 
 Stmt: TypeAlias = (
-    Let | Declare | StoreVar | Store | AtomicUpdate | Accumulate | If | For | While | Block | Leave | RowLoop | Fail
-    | Print
+    Let | Declare | StoreVar | Store | AtomicUpdate | Accumulate | If | For | While | Block | Leave | RowLoop | Barrier
+    | Fail | Print
 )  # fmt: skip
 
 # ---- Programs. ----
@@ -419,11 +370,22 @@ class Space(Enum):
     """How the rows of a launch are numbered.
 
     LINE: rows ``0 <= i < n``, which are positions or entries of a list of positions, in blocks of ``BLOCK_ROWS``.
-    BOX: each block is a box of coordinates of a grid.
+    BOX: each block is a box of coordinates of a grid; on groups the whole launch is one, its rows numbered row-major.
     """
 
     LINE = "line"
     BOX = "box"
+
+
+class Coverage(Enum):
+    """Which rows a thread of a group takes: the thread t of the group g begins with the row g * group_size + t.
+
+    ONE: that row, if there is such.
+    STRIDED: that row and every (groups * group_size)-th after it, in this order.
+    """
+
+    ONE = "one row a thread"
+    STRIDED = "strided rows"
 
 
 class Precision(Enum):
@@ -454,13 +416,19 @@ PRINT_HEADER = 2
 class Program:
     """What runs at a launch: ``block`` for each block, then ``finish`` once.
 
-    ``block_number`` is the number of the block, defined in ``block``. ``private_bytes`` is the size of all variables
-    together. ``sites`` says what fails where, ``prints`` are KIR nodes; they are no part of the text.
+    Without a ``group_size`` a thread runs ``block`` for all rows of it, and ``finish``. With it a block is a group of
+    so many threads, each of which runs ``block`` for its rows; one more group runs ``finish``. Where rows run in order,
+    ``group_size`` is 1, and a launch has one group.
+
+    ``block_number`` is the number of the block, defined in ``block``. ``private_bytes`` is the size of all private
+    variables together. ``sites`` says what fails where, ``prints`` are KIR nodes; they are no part of the text.
     """
 
     name: str
     space: Space
     dimensions: int
+    group_size: int | None
+    coverage: Coverage
     precision: Precision
     slots: tuple[Slot, ...]
     arguments: tuple[Argument, ...]
@@ -471,3 +439,9 @@ class Program:
     sites: tuple[Any, ...]
     prints: tuple[Any, ...]
     print_words: int
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """The names of the kernels for groups: of ``block``, and of ``finish`` if there is anything to finish."""
+        name = "ebb_" + "".join(c if c.isascii() and c.isalnum() else "_" for c in self.name)
+        return (name, f"{name}_finish") if self.finish else (name,)

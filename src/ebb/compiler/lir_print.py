@@ -26,6 +26,8 @@ def statement(stmt: lir.Stmt) -> str:
 def _program(program: lir.Program) -> Iterator[str]:
     space = program.space.value if program.space is lir.Space.LINE else f"box {program.dimensions}"
     yield f"program {program.name} over {space}, floats {program.precision.value}"
+    if program.group_size is not None:
+        yield f"{_INDENT}groups of {program.group_size}, {program.coverage.value}"
     for slot in program.slots:
         yield f"{_INDENT}slot s{slot.number}: {slot.type!r} {slot.access.value}  # {_binding(slot.binding)}"
     for argument in program.arguments:
@@ -80,7 +82,8 @@ def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind
         case lir.Let(temp, operation):
             yield f"{_temp(temp)}: {temp.type!r} = {_operation(operation)}"
         case lir.Declare(var):
-            yield f"var {_var(var)}: {var.type!r}[{var.size}]"
+            shared = "group " if var.memory is lir.Memory.GROUP else ""
+            yield f"{shared}var {_var(var)}: {var.type!r}[{var.size}]"
         case lir.StoreVar(var, index, stored):
             yield f"{_var(var)}[{value(index)}] = {value(stored)}"
         case lir.Store(slot, index, stored):
@@ -109,9 +112,17 @@ def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind
             yield from _body(body)
         case lir.Leave(label):
             yield f"leave {_label(label)}"
+        case lir.RowLoop() | lir.Barrier() | lir.Fail() | lir.Print():
+            yield from _row_statement(stmt)
+
+
+def _row_statement(stmt: lir.RowLoop | lir.Barrier | lir.Fail | lir.Print) -> Iterator[str]:
+    match stmt:
         case lir.RowLoop(index, rows, body):
             yield f"rows {_values(index)}, {rows.value}:"
             yield from _body(body)
+        case lir.Barrier():
+            yield "barrier"
         case lir.Fail(site, position, payload):
             yield f"fail {site} at {value(position)} ({_values(payload)})"
         case lir.Print(number, slot, position, values):
@@ -136,6 +147,8 @@ def _operation(operation: lir.Operation) -> str:
             return f"{_var(var)}[{value(index)}]"
         case lir.LoadArgument(argument):
             return f"a{argument.number}"
+        case lir.ThreadNumber():
+            return "thread"
 
 
 def value(operand: lir.Value) -> str:

@@ -20,13 +20,25 @@ def verify(program: lir.Program) -> None:
     Raises:
         MalformedLir: with the statement that is wrong.
     """
-    loops = sum(isinstance(stmt, lir.RowLoop) for stmt in program.block)
-    if loops != 1:
-        raise MalformedLir(f"a block has one loop over rows, not {loops}")
+    loops = [stmt for stmt in program.block if isinstance(stmt, lir.RowLoop)]
+    if len(loops) != 1:
+        raise MalformedLir(f"a block has one loop over rows, not {len(loops)}")
+    if program.group_size is not None:
+        _verify_groups(program, program.group_size, loops[0])
     for body, row_loops in ((program.block, True), (program.finish, False)):
         checker = _Checker(program, row_loops)
         checker.temps.add(program.block_number.number)
         checker.body(body)
+
+
+def _verify_groups(program: lir.Program, size: int, loop: lir.RowLoop) -> None:
+    strided = program.coverage is lir.Coverage.STRIDED
+    if not 1 <= size <= lir.MOST_THREADS:
+        raise MalformedLir(f"a group has 1 to {lir.MOST_THREADS} threads, not {size}")
+    if loop.rows is lir.Rows.IN_ORDER and not (size == 1 and strided):
+        raise MalformedLir("rows in order are strided over groups of one thread")
+    if program.finish and not strided:
+        raise MalformedLir("there is a partial result a group, but as many groups as the rows need")
 
 
 class _Checker:
@@ -41,11 +53,14 @@ class _Checker:
         self.defined: set[int] = set()
         self.vars: set[int] = set()
         self.labels: set[int] = set()
+        self.depth = 0
 
     @contextmanager
     def scope(self) -> Generator[None, None, None]:
         temps, vars_, labels = set(self.temps), set(self.vars), set(self.labels)
+        self.depth += 1
         yield
+        self.depth -= 1
         self.temps, self.vars, self.labels = temps, vars_, labels
 
     def body(self, body: lir.Body) -> None:
@@ -64,6 +79,7 @@ class _Checker:
                 self.operation(operation, temp.type)
                 self.define(temp)
             case lir.Declare(var):
+                self.demand(var.memory is lir.Memory.PRIVATE or self.together(), "declares a variable of a group here")
                 self.vars.add(var.number)
             case lir.StoreVar(var, index, value) | lir.Accumulate(var, index, _, value):
                 self.var(var, index)
@@ -91,6 +107,8 @@ class _Checker:
                 self.demand(self.row_loops, "loops over rows outside of a block")
                 self.demand(len(index) == self.program.dimensions, "has not one index a dimension")
                 self.loop(index, body)
+            case lir.Barrier():
+                self.demand(self.together(), "waits where not all threads of a group get")
             case lir.Fail() | lir.Print():
                 self.report(stmt)
 
@@ -147,7 +165,9 @@ class _Checker:
             case _:
                 self.reading(operation, result)
 
-    def reading(self, operation: lir.Load | lir.LoadVar | lir.LoadArgument, result: ScalarType) -> None:
+    def reading(
+        self, operation: lir.Load | lir.LoadVar | lir.LoadArgument | lir.ThreadNumber, result: ScalarType
+    ) -> None:
         match operation:
             case lir.Load(slot, index):
                 self.slot(slot, index, lir.Access.READ)
@@ -158,6 +178,9 @@ class _Checker:
             case lir.LoadArgument(argument):
                 self.demand(id(argument) in self.arguments, "loads an argument that the program has not")
                 self.demand(argument.type == result, "loads another type than the argument has")
+            case lir.ThreadNumber():
+                self.demand(self.program.group_size is not None, "asks for a thread's number where there are no groups")
+                self.demand(result == int64, "has a thread's number that is no int64")
 
     def define(self, temp: lir.Temp) -> None:
         self.demand(temp.number not in self.defined, f"defines %{temp.number} again")
@@ -182,6 +205,10 @@ class _Checker:
         self.demand(id(slot) in self.slots, f"uses slot {slot.number}, which the program has not")
         self.demand(access is lir.Access.READ or slot.access is access, f"writes the read-only slot {slot.number}")
         self.typed(index, int64)
+
+    def together(self) -> bool:
+        """Whether all threads of a group get here."""
+        return self.program.group_size is not None and self.depth == 1
 
     @staticmethod
     def demand(holds: bool, text: str) -> None:

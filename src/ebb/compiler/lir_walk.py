@@ -21,7 +21,7 @@ def operands(operation: lir.Operation) -> tuple[lir.Value, ...]:
             return values
         case lir.Load(_, index) | lir.LoadVar(_, index):
             return (index,)
-        case lir.LoadArgument():
+        case lir.LoadArgument() | lir.ThreadNumber():
             return ()
 
 
@@ -40,7 +40,7 @@ def values(stmt: lir.Stmt) -> tuple[lir.Value, ...]:
             return (stmt.position, *stmt.payload)
         case lir.Print():
             return (stmt.position, *stmt.values)
-        case lir.Declare() | lir.Block() | lir.Leave() | lir.RowLoop():
+        case lir.Declare() | lir.Block() | lir.Leave() | lir.RowLoop() | lir.Barrier():
             return ()
 
 

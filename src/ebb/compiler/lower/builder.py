@@ -68,7 +68,7 @@ class Builder:
     def var(self, name: str, scalar: ScalarType, size: int) -> lir.Var:
         """A variable, not yet declared."""
         self.private_bytes += size * scalar.bits // 8
-        return lir.Var(self._next("var"), name, scalar, size)
+        return lir.Var(self._next("var"), name, scalar, size, lir.Memory.PRIVATE)
 
     def declare(self, name: str, scalar: ScalarType, size: int) -> lir.Var:
         """A variable, declared here."""

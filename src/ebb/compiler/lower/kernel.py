@@ -55,6 +55,8 @@ def lower(
         name=kernel.name,
         space=lir.Space.BOX if launched is Launched.BOXES else lir.Space.LINE,
         dimensions=dimensions,
+        group_size=None,
+        coverage=lir.Coverage.ONE,
         precision=precision,
         slots=tuple(ctx.slots.values()),
         arguments=tuple(ctx.arguments.values()),
