@@ -1,4 +1,4 @@
-"""What the conformance programs share: backends, sizes, and programs given as text."""
+"""What the conformance programs share: sizes, relations, and programs given as text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import pytest
 
 import ebb
 
-BACKENDS = ("cpu", "reference")
 SIZES = (0, 1, 63, 64, 65)
 LARGE = 100_003
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import ebb
+from backends import runnable
 
-from .harness import BACKENDS, kernel_of, rejects, rows_with
+from .harness import kernel_of, rejects, rows_with
 
 SIZE = 300
 
@@ -55,12 +56,12 @@ def test_the_same_seed_gives_the_same_numbers(backend):
     assert not same(drawn(seed=5), drawn(seed=6), exact=False)
 
 
-def test_both_backends_give_the_same_numbers():
+def test_the_backends_give_the_same_numbers():
     results = []
-    for name in BACKENDS:
+    for name in runnable():
         with ebb.backend(name):
             results.append(drawn(seed=2**63 + 12345))
-    assert same(*results, exact=False)
+    assert all(same(results[0], other, exact=False) for other in results[1:])
 
 
 def test_the_number_of_threads_changes_nothing():
