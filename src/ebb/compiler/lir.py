@@ -441,6 +441,11 @@ class Program:
     print_words: int
 
     @property
+    def in_order(self) -> bool:
+        """Whether the rows run one after the other."""
+        return any(isinstance(stmt, RowLoop) and stmt.rows is Rows.IN_ORDER for stmt in self.block)
+
+    @property
     def entries(self) -> tuple[str, ...]:
         """The names of the kernels for groups: of ``block``, and of ``finish`` if there is anything to finish."""
         name = "ebb_" + "".join(c if c.isascii() and c.isalnum() else "_" for c in self.name)

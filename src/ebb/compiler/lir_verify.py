@@ -54,6 +54,7 @@ class _Checker:
         self.vars: set[int] = set()
         self.labels: set[int] = set()
         self.depth = 0
+        self.in_row = False
 
     @contextmanager
     def scope(self) -> Generator[None, None, None]:
@@ -82,6 +83,8 @@ class _Checker:
                 self.demand(var.memory is lir.Memory.PRIVATE or self.together(), "declares a variable of a group here")
                 self.vars.add(var.number)
             case lir.StoreVar(var, index, value) | lir.Accumulate(var, index, _, value):
+                alone = isinstance(stmt, lir.StoreVar) or var.memory is lir.Memory.PRIVATE
+                self.demand(alone, "accumulates where other threads do")
                 self.var(var, index)
                 self.typed(value, var.type)
             case lir.Store(slot, index, value) | lir.AtomicUpdate(slot, index, _, value):
@@ -106,7 +109,9 @@ class _Checker:
             case lir.RowLoop(index, _, body):
                 self.demand(self.row_loops, "loops over rows outside of a block")
                 self.demand(len(index) == self.program.dimensions, "has not one index a dimension")
+                self.in_row = True
                 self.loop(index, body)
+                self.in_row = False
             case lir.Barrier():
                 self.demand(self.together(), "waits where not all threads of a group get")
             case lir.Fail() | lir.Print():
@@ -197,6 +202,7 @@ class _Checker:
 
     def var(self, var: lir.Var, index: lir.Value) -> None:
         self.demand(var.number in self.vars, f"uses {var.name}.{var.number}, which is not in scope")
+        self.demand(not (self.in_row and var.memory is lir.Memory.GROUP), f"uses {var.name} of the group in a row")
         self.typed(index, int64)
         if isinstance(index, lir.Literal):
             self.demand(0 <= index.value < var.size, f"uses component {index.value} of {var.size}")

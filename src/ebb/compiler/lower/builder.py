@@ -65,14 +65,13 @@ class Builder:
     def label(self, name: str) -> lir.Label:
         return lir.Label(self._next("label"), name)
 
-    def var(self, name: str, scalar: ScalarType, size: int) -> lir.Var:
-        """A variable, not yet declared."""
-        self.private_bytes += size * scalar.bits // 8
-        return lir.Var(self._next("var"), name, scalar, size, lir.Memory.PRIVATE)
-
-    def declare(self, name: str, scalar: ScalarType, size: int) -> lir.Var:
+    def declare(
+        self, name: str, scalar: ScalarType, size: int, memory: lir.Memory = lir.Memory.PRIVATE
+    ) -> lir.Var:  # fmt: skip
         """A variable, declared here."""
-        var = self.var(name, scalar, size)
+        if memory is lir.Memory.PRIVATE:
+            self.private_bytes += size * scalar.bits // 8
+        var = lir.Var(self._next("var"), name, scalar, size, memory)
         self.add(lir.Declare(var))
         return var
 
@@ -197,7 +196,7 @@ def _fold(op: str, left: lir.Value, right: lir.Value) -> lir.Value | None:
             return right
         case ("*", lir.Literal(0, _), _) | ("*", _, lir.Literal(0, _)):
             return index(0)
-        case "*", _, lir.Literal(1, _):
+        case (("*" | "//"), _, lir.Literal(1, _)):
             return left
         case "*", lir.Literal(1, _), _:
             return right

@@ -12,7 +12,7 @@ from ebb.compiler.lower.facts import Facts
 from ebb.compiler.lower.keys import linear
 from ebb.compiler.lower.reductions import combine_partials, open_accumulators, reduced_globals, store_partials
 from ebb.compiler.lower.statements import bind, lower_body
-from ebb.compiler.phases.order import InOrder, why_in_order
+from ebb.compiler.phases.order import InOrder, shares_sums, why_in_order
 from ebb.compiler.phases.table import PhaseTable
 from ebb.types.types import int64, uint64
 
@@ -25,6 +25,7 @@ def lower(
     launched: Launched,
     precision: lir.Precision,
     updates: lir.Updates = lir.Updates.PLAIN,
+    group_size: int | None = None,
 ) -> lir.Program:
     """``kernel`` as LIR.
 
@@ -36,27 +37,30 @@ def lower(
         launched: how the rows of the launches are given.
         precision: what the optimiser may do to floats.
         updates: how rows reduce into other rows.
+        group_size: how many threads share a block; None where a block is for one thread. Where rows run in order, the
+            program has one thread a group.
     """
     ctx = Context(kernel, phases, frozenset(unchecked), facts, updates)
-    why = why_in_order(kernel, phases)
-    apart = why is None or (why is InOrder.SHARED_SUMS and updates is lir.Updates.ATOMIC)
-    rows = lir.Rows.INDEPENDENT if apart else lir.Rows.IN_ORDER
     reduced = reduced_globals(kernel)
+    rows = _rows(kernel, phases, updates, group_size)
+    if group_size is not None and rows is lir.Rows.IN_ORDER:
+        group_size = 1
+    strided = group_size is not None and (reduced or rows is lir.Rows.IN_ORDER)
     block_number = ctx.build.temp(int64)
     dimensions = kernel.relation.ndim if launched is Launched.BOXES else 1
     index = tuple(ctx.build.temp(int64) for _ in range(dimensions))
     with ctx.build.body() as block:
         open_accumulators(ctx, reduced)
         ctx.build.add(lir.RowLoop(index, rows, _row_body(ctx, index, launched)))
-        store_partials(ctx, block_number)
+        store_partials(ctx, reduced, block_number, group_size)
     with ctx.build.body() as finish:
-        combine_partials(ctx, reduced)
+        combine_partials(ctx, reduced, group_size)
     return lir.Program(
         name=kernel.name,
         space=lir.Space.BOX if launched is Launched.BOXES else lir.Space.LINE,
         dimensions=dimensions,
-        group_size=None,
-        coverage=lir.Coverage.ONE,
+        group_size=group_size,
+        coverage=lir.Coverage.STRIDED if strided else lir.Coverage.ONE,
         precision=precision,
         slots=tuple(ctx.slots.values()),
         arguments=tuple(ctx.arguments.values()),
@@ -68,6 +72,15 @@ def lower(
         prints=tuple(ctx.prints),
         print_words=ctx.print_words,
     )
+
+
+def _rows(kernel: kir.Kernel, phases: PhaseTable, updates: lir.Updates, group_size: int | None) -> lir.Rows:
+    """Whether rows run in order: for shared sums, and on one thread for prints, which groups leave to the host."""
+    why = why_in_order(kernel, phases)
+    if why is InOrder.PRINTS and group_size is not None:
+        why = InOrder.SHARED_SUMS if shares_sums(phases) else None
+    apart = why is None or (why is InOrder.SHARED_SUMS and updates is lir.Updates.ATOMIC)
+    return lir.Rows.INDEPENDENT if apart else lir.Rows.IN_ORDER
 
 
 def variable_bytes(kernel: kir.Kernel) -> int:

@@ -1,6 +1,7 @@
 """Reductions into globals: a private sum for each block, and a finish that adds the blocks up in their order.
 
-So the result does not depend on which thread runs which block.
+A group of threads has a private sum each, which a tree combines; so do those that share the finish. So the result does
+not depend on which thread runs when.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from ebb.compiler import kir, lir
 from ebb.compiler.kir_walk import statements
 from ebb.compiler.lower.builder import index
 from ebb.compiler.lower.context import Context, value_scalar
+from ebb.compiler.lower.trees import Tree
 from ebb.relations.globals import Global
 from ebb.types.arithmetic import identity_of
 from ebb.types.types import ScalarType, int64
@@ -32,34 +34,41 @@ def open_accumulators(ctx: Context, reduced: dict[Global, str]) -> None:
         ctx.build.store_all(var, [_identity(op, scalar)] * var.size)
 
 
-def store_partials(ctx: Context, block: lir.Value) -> None:
+def store_partials(ctx: Context, reduced: dict[Global, str], block: lir.Value, group_size: int | None) -> None:
     """Stores what the block has summed."""
-    b = ctx.build
-    for reduction, var in enumerate(ctx.accumulators.values()):
+    if not reduced:
+        return
+    b, tree = ctx.build, Tree(ctx.build, group_size or 1)
+    for reduction, (globl, op) in enumerate(reduced.items()):
+        var = ctx.accumulators[globl]
         slot = ctx.slot(lir.Partials(reduction, var))
         first = b.scale_index(block, var.size)
-        for k, value in enumerate(b.load_all(var)):
-            b.add(lir.Store(slot, b.add_index(first, k), value))
+        for k in range(var.size):
+            with tree.combined(op, (var, k)) as place:
+                b.add(lir.Store(slot, b.add_index(first, k), b.load_var(*place)))
 
 
-def combine_partials(ctx: Context, reduced: dict[Global, str]) -> None:
+def combine_partials(ctx: Context, reduced: dict[Global, str], group_size: int | None) -> None:
     """Adds the sums of the blocks up and into the globals."""
-    b = ctx.build
+    if not reduced:
+        return
+    b, tree = ctx.build, Tree(ctx.build, group_size or 1)
     for reduction, (globl, op) in enumerate(reduced.items()):
         size, scalar = globl.type.size, value_scalar(globl.type.scalar)
         total = b.declare("total", scalar, size)
         b.store_all(total, [_identity(op, scalar)] * size)
         partials = ctx.slot(lir.Partials(reduction, ctx.accumulators[globl]))
-        block, blocks = b.temp(int64), ctx.argument(lir.BlockCount(), int64)
+        counter, blocks = b.temp(int64), ctx.argument(lir.BlockCount(), int64)
         with b.body() as turn:
-            first = b.scale_index(block, size)
+            first = b.scale_index(tree.item(counter), size)
             for k in range(size):
                 partial = b.load(partials, b.add_index(first, k))
                 b.store_var(total, k, b.binary(op, b.load_var(total, k), partial))
-        b.add(lir.For(block, index(0), blocks, tuple(turn), lir.Turns.IN_ORDER))
+        b.add(lir.For(counter, index(0), tree.turns(blocks), tuple(turn), lir.Turns.IN_ORDER))
         slot = ctx.slot(lir.GlobalData(globl))
         for k in range(size):
-            b.add(lir.Store(slot, index(k), b.binary(op, b.load(slot, index(k)), b.load_var(total, k))))
+            with tree.combined(op, (total, k)) as place:
+                b.add(lir.Store(slot, index(k), b.binary(op, b.load(slot, index(k)), b.load_var(*place))))
 
 
 def _identity(op: str, scalar: ScalarType) -> lir.Literal:

@@ -20,6 +20,9 @@ def why_in_order(kernel: kir.Kernel, phases: PhaseTable) -> InOrder | None:
     """Why the rows of ``kernel`` run one after the other, or None: then blocks of rows run on all threads."""
     if any(isinstance(stmt, kir.Print) for stmt in statements(kernel.body)):
         return InOrder.PRINTS
-    if any(phase.kind is PhaseKind.REDUCE for phase in phases.fields.values()):
-        return InOrder.SHARED_SUMS
-    return None
+    return InOrder.SHARED_SUMS if shares_sums(phases) else None
+
+
+def shares_sums(phases: PhaseTable) -> bool:
+    """Whether rows reduce into rows that others reduce into."""
+    return any(phase.kind is PhaseKind.REDUCE for phase in phases.fields.values())
