@@ -6,6 +6,7 @@ What the host and the code of a device agree on stands here too: how a launch on
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import Enum
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -28,6 +29,17 @@ FAILURE_START = 16
 """The byte at which the records begin."""
 
 FAILURE_BYTES = FAILURE_START + FAILURE_CAPACITY * FAILURE_WORDS * 8
+
+
+class Feature(Enum):
+    """What code may need of a device and not every device has. The values are its names in messages."""
+
+    FLOAT64 = "ebb.float64"
+    ATOMICS64 = "atomic operations on 64-bit integers"
+    FLOAT32_ADD = "atomic addition of ebb.float32"
+    FLOAT32_MIN_MAX = "atomic minima of ebb.float32"
+    FLOAT64_ADD = "atomic addition of ebb.float64"
+    FLOAT64_MIN_MAX = "atomic minima of ebb.float64"
 
 
 class Memory(Protocol):
@@ -53,6 +65,11 @@ class Device(Protocol):
     @property
     def name(self) -> str:
         """What messages call it."""
+        ...
+
+    @property
+    def lacks(self) -> frozenset[Feature]:
+        """What it does not have."""
         ...
 
     def allocate(self, nbytes: int) -> Memory:
