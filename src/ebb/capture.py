@@ -100,8 +100,8 @@ class Step:
                     case _Launched(launch):
                         launch.note_changes()
                     case SwapFields(left, right):
-                        left.changed()
-                        right.changed()
+                        left.rewritten()
+                        right.rewritten()
                     case SetGlobal():
                         pass
 
@@ -146,7 +146,7 @@ class Step:
                         right.check_no_view()
                         left.swap_with(right)
                     case SetGlobal(globl, value):
-                        globl.data[...] = value
+                        globl.buffer.overwrite(value)
 
 
 class _Recorder:

@@ -122,7 +122,7 @@ class Launch:
         for values in self._written_values:
             values.version += 1
         for keys in self._written_keys:
-            keys.changed()
+            keys.rewritten()
 
     def _settle_or_record(self, uniforms: Sequence[Any]) -> Bound | None:
         """What to run, or None where the launch was taken down for a step instead."""

@@ -22,9 +22,10 @@ from ebb.compiler.lower import error_at
 from ebb.compiler.scatter.waves import Waves
 from ebb.errors import EbbError
 from ebb.relations.field import Field
+from ebb.relations.globals import Global
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
-from ebb.runtime.buffer import Array, aligned_zeros
+from ebb.runtime.buffer import Array, aligned_zeros, host_code_uses
 from ebb.runtime.cpu import BLOCKS, BOXES, ITEMS, ROWS, STARTS, THREADS, WAVES, ArgumentBlock, CpuCode, CpuDevice
 from ebb.runtime.threads import worthwhile_threads
 from ebb.types.types import Kind, ScalarType
@@ -69,6 +70,8 @@ class Binding:
         self._fields: list[Field] = []
         self._field_words: list[int] = []
         self._addresses: list[int] = []
+        self._globals: list[Global] = []
+        self._written: list[Field | Global] = []
         self._sources: list[tuple[int, Callable[[], Array]]] = []
         self._arrays: list[Array] = []
         self._numbers: list[tuple[memoryview[Any], int, int]] = []
@@ -84,9 +87,16 @@ class Binding:
     def settle(self, waves: Waves | None) -> None:
         """Puts the addresses of indexes in place, which lie elsewhere after a change of the structure, and ``waves``.
 
+        Values that a device has changed are fetched from there.
+
         Args:
             waves: which blocks may run at once; None for all.
+
+        Raises:
+            BackendError: a device does not give what it has.
         """
+        used = [each.buffer for each in (*self._fields, *self._globals)]
+        host_code_uses(used, [each.buffer for each in self._written])
         if self._shares == 0 or waves is not self._waves:
             self._place_waves(waves)
         arrays: list[Array] = []
@@ -213,7 +223,10 @@ class Binding:
             case lir.FieldData(field):
                 self._fields.append(field)
                 self._field_words.append(word)
+                self._note_access(field, slot)
             case lir.GlobalData(globl):
+                self._globals.append(globl)
+                self._note_access(globl, slot)
                 self._sources.append((word, lambda: globl.data))
             case lir.Partials(_, sum_):
                 self._keep(word, (self._blocks * sum_.size,), slot.type)
@@ -222,6 +235,10 @@ class Binding:
                 self._block.words[word] = self._prints.address
             case index:
                 self._sources.append((word, lambda: index_array(index, rows)))
+
+    def _note_access(self, place: Field | Global, slot: lir.Slot) -> None:
+        if slot.access is lir.Access.WRITE:
+            self._written.append(place)
 
     def _keep(self, word: int, shape: tuple[int, ...], scalar: ScalarType) -> None:
         array = aligned_zeros(shape, scalar.dtype)

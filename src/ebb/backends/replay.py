@@ -18,8 +18,9 @@ from ebb.backends.binding import Binding
 from ebb.backends.kernel_code import Bindings, NoRows
 from ebb.compiler import lir
 from ebb.relations.field import Field
+from ebb.relations.globals import Global
 from ebb.runtime import random
-from ebb.runtime.buffer import Array
+from ebb.runtime.buffer import Array, host_code_uses
 from ebb.runtime.cpu import THREADS, ReplayCode
 from ebb.runtime.replay import (
     BUFFERS,
@@ -47,16 +48,22 @@ class Replay:
         Args:
             code: the machine code.
             operations: what the step consists of; fields that are swapped have the same layout.
+
+        Raises:
+            BackendError: a device does not give what it has.
         """
         self._code = code
         self._numbers: dict[Field, int] = {}
         self._rows: list[list[int]] = []
         self._launches: dict[int, tuple[Binding, Array]] = {}
         self._swapped: dict[Field, int] = {}
+        self._set: list[Global] = []
         self._kept: list[object] = []
         self._slice = 1
         for operation in operations:
             self._add(operation)
+        exchanged = [each.buffer for each in (*self._swapped, *self._set)]
+        host_code_uses(exchanged, exchanged)  # by other names, launches may write what is swapped
         self._table = np.array(self._rows, dtype=np.int64).reshape(-1, OPERATION_WORDS)
         self._buffers = np.zeros(max(len(self._numbers), 1), dtype=np.int64)
         self._state = np.zeros(STATE_WORDS, dtype=np.int64)
@@ -133,6 +140,7 @@ class Replay:
             case SetGlobal(globl, value):
                 source = np.ascontiguousarray(value)
                 self._kept.append(source)
+                self._set.append(globl)
                 self._add_row(Kind.COPY, globl.data.ctypes.data, source.ctypes.data, source.nbytes)
 
     def _add_launch(self, binding: Binding, uniforms: tuple[Any, ...]) -> None:

@@ -13,6 +13,7 @@ from ebb.relations.errors import ForeignField, KeysNotWritable, TypeMismatch, Vi
 from ebb.relations.family import Family, join
 from ebb.relations.loading import Place, called_by_row, converted, target_of
 from ebb.runtime.buffer import Array, Buffer
+from ebb.runtime.copies import tell_host_code
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.recording import refuse
 from ebb.types.types import Type
@@ -20,6 +21,9 @@ from ebb.types.types import Type
 if TYPE_CHECKING:
     from ebb.relations.grouping import Grouping
     from ebb.relations.relation import Relation
+
+_ON_HOST = (1, 0)
+"""What DLPack calls the memory of the processor."""
 
 UNSET = -1
 """What is stored for a key that has never been loaded or written."""
@@ -81,7 +85,8 @@ class Field:
         """The values in storage order, shape ``(relation.size, *type.shape)``; keys are positions, -1 where unset.
 
         The array is aligned to 64 bytes; its strides are those of the layout (see ``Buffer``). Swapping, grouping and
-        a change of the layout replace it, so nobody keeps it. Who writes to it calls ``changed`` afterwards.
+        a change of the layout replace it, and what runs on a device does not write to it, so nobody keeps it. Taking it
+        waits for a device that has newer values. Who writes to it calls ``changed`` afterwards.
         """
         return self.buffer.host
 
@@ -97,16 +102,26 @@ class Field:
 
     @property
     def maybe_unset(self) -> bool:
-        """Whether some key of the field is unset. False where it holds no keys."""
+        """Whether some key of the field may be unset: True while only a device could tell. False where it has none."""
         if self._unset is None:
+            if not self.buffer.is_current:
+                return True
             self._unset = self.data.size > 0 and int(self.data.min()) < 0
         return self._unset
 
     def changed(self) -> None:
-        """Says that ``data`` has been written, by a kernel or through a view."""
-        self.version += 1
+        """Says that ``data`` has been written on the host, so that it holds the only valid values."""
+        self.buffer.changed_on_host()
         if self.holds_keys:
             self._unset = None
+        self.rewritten()
+
+    def rewritten(self) -> None:
+        """Says that a kernel has written values, wherever it ran. Keys that kernels write are set."""
+        self.version += 1
+        if self.holds_keys:
+            if self._unset:
+                self._unset = None
             structure_changed()
 
     def load(self, value: Any) -> None:
@@ -174,7 +189,8 @@ class Field:
         The strides tell the layout: the components of a row together, or a column for each. While nobody has taken a
         view of a field of the relation, launches may choose order and layout; from the first view on they stay, those
         of the relation that keys refer to as well.
-        A view shows the memory that the field had when it was taken: take a new one after a swap or a grouping.
+        A view shows the memory that the field had when it was taken: take a new one after a swap or a grouping, and on
+        a device after a launch: what runs there leaves the host's memory as it is until somebody looks again.
 
         Args:
             write: returns a context manager instead, whose value is a writable array. Until it is left, launches that
@@ -217,6 +233,8 @@ class Field:
             join(self, other)
         if self.holds_keys:
             structure_changed()  # first, since an interrupt may come before any call; launches wait meanwhile
+        elif not (self.buffer.is_only_on_host and other.buffer.is_only_on_host):
+            tell_host_code()
         self.buffer, other.buffer = other.buffer, self.buffer
         self._unset, other._unset = other._unset, self._unset
         self.version += 1
@@ -236,8 +254,7 @@ class Field:
         return self.view().__dlpack__(**options)
 
     def __dlpack_device__(self) -> tuple[int, int]:
-        device = self.data.__dlpack_device__()
-        return (int(device[0]), int(device[1]))
+        return _ON_HOST
 
     def __repr__(self) -> str:
         return f"<field {self.path}: {self.type!r}, {self.relation.size} rows>"
@@ -246,6 +263,7 @@ class Field:
     def _writable_view(self) -> Generator[Array, None, None]:
         array = self._shaped()
         self._open_views += 1
+        self.buffer.changed_on_host()
         structure_changed()
         try:
             yield array
@@ -270,9 +288,7 @@ class Field:
             raise RelationError(ForeignField(self.relation.name, source.path))
         source.check_no_view()
         if source.type == self.type:
-            self.changed()  # before it too, as in _store
-            np.copyto(self.data, source.data)
-            self.changed()
+            self._overwrite(source.data)
             self._unset = source._unset
         elif source.type.shape != self.type.shape or source.target is not None or self.target is not None:
             raise RelationError(
@@ -289,10 +305,15 @@ class Field:
         if values.ndim > len(shape):
             rows = values.reshape(size, *shape)
             rows = rows if order is None else rows[order]
+        self._overwrite(rows)
+
+    def _overwrite(self, rows: Array) -> None:
         # Before it too: an interrupt while values are written would come before what follows, and they would be taken
         # for those that were there.
-        self.changed()
-        self.data[...] = rows
+        if self.holds_keys:
+            self._unset = None
+        self.rewritten()
+        self.buffer.overwrite(rows)
         self.changed()
 
 

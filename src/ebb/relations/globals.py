@@ -20,9 +20,10 @@ class Global:
 
     Attributes:
         type: of the value, a scalar, vector or matrix of numbers or bools.
+        buffer: the memory that ``data`` lies in.
     """
 
-    __slots__ = ("__weakref__", "_buffer", "type")
+    __slots__ = ("__weakref__", "buffer", "type")
 
     def __init__(self, type: Any, initial: Any) -> None:
         """A global of ``type`` that holds ``initial``; one number fills every component.
@@ -32,13 +33,16 @@ class Global:
             RelationError: ``type`` is of keys, or ``initial`` does not fit.
         """
         self.type: Type = _numeric(as_type(type), "global")
-        self._buffer = Buffer(self.type.shape, self.type.dtype)
-        self.data[...] = self._converted(initial)
+        self.buffer = Buffer(self.type.shape, self.type.dtype)
+        self.buffer.overwrite(self._converted(initial))
 
     @property
     def data(self) -> Array:
-        """The value as an array of ``type.shape``, at an address that never changes."""
-        return self._buffer.host
+        """The value as an array of ``type.shape``, at an address that never changes.
+
+        Taking it waits for a device that has a newer one. Who writes to it calls ``buffer.changed_on_host``.
+        """
+        return self.buffer.host
 
     @property
     def value(self) -> Any:
@@ -56,7 +60,7 @@ class Global:
         fitting = self._converted(value)
         by = recorder()
         if by is None:
-            self.data[...] = fitting
+            self.buffer.overwrite(fitting)
         else:
             by.record_set(self, np.array(np.broadcast_to(fitting, self.type.shape), dtype=self.type.dtype))
 

@@ -1,15 +1,20 @@
-"""Memory of the runtime: aligned arrays on the host, where a device will keep its copy beside the host's."""
+"""Memory of the runtime: aligned arrays on the host, with the copies that devices keep beside them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum
 from math import prod
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from ebb.runtime.copies import Copies, host_code_relies
+
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+    from ebb.runtime.device import Device, Memory
 
 Array: TypeAlias = "npt.NDArray[Any]"
 
@@ -33,35 +38,94 @@ class Buffer:
     ``host`` is the copy that the host reads and writes. Its shape is the same in either layout; its strides are not.
     In rows it is C-contiguous. In columns each component is a contiguous array of the rows, the next one begins
     ``column_stride`` elements later, and each is aligned to ``ALIGNMENT`` bytes. The address is fixed for the life of
-    the buffer; ``address`` is that of the host's copy.
+    the buffer; ``address`` is that of the host's copy. Devices' copies are of the same bytes, so they lie alike.
     """
 
-    __slots__ = ("address", "host", "layout")
+    __slots__ = ("_array", "address", "copies", "layout")
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], layout: Layout = Layout.ROWS) -> None:
         self.layout = layout
-        self.host: Array = aligned_zeros(shape, dtype) if layout is Layout.ROWS else _columns(shape, dtype)
-        self.address: int = self.host.ctypes.data
+        block = aligned_zeros(shape if layout is Layout.ROWS else _column_block(shape, dtype), dtype)
+        self._array: Array = block if layout is Layout.ROWS else _in_columns(block, shape[0])
+        self.address: int = block.ctypes.data
+        self.copies = Copies(block.reshape(-1).view(np.uint8))
 
-    @classmethod
-    def of(cls, host: Array) -> Buffer:
-        """The memory of ``host`` itself, a C-contiguous array of rows."""
-        result = cls((0,), host.dtype)
-        result.host, result.address = host, host.ctypes.data
+    # ---- The copies ----
+
+    @property
+    def host(self) -> Array:
+        """The host's copy, made current: a device that has a newer one is waited for. Who writes to it says so."""
+        if not self.copies.is_current:
+            self.copies.refresh()
+        return self._array
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the host's copy is valid, so that ``host`` moves nothing."""
+        return self.copies.is_current
+
+    @property
+    def is_only_on_host(self) -> bool:
+        """Whether no device has a valid copy."""
+        return self.copies.is_only_here
+
+    @property
+    def nbytes(self) -> int:
+        """The bytes of the values, without what lies between columns."""
+        return self._array.nbytes
+
+    def on(self, device: Device, overwritten: bool = False) -> Memory:
+        """The copy of ``device``, made current. The caller holds ``launching()``.
+
+        Args:
+            device: which; the copy stays there until the buffer goes.
+            overwritten: whatever the copy holds will do, since what is launched next writes all of it.
+
+        Raises:
+            BackendError: there is no room for it, or it cannot be moved. The copies are as valid as before.
+        """
+        return self.copies.on(device, overwritten)
+
+    def changed_on(self, device: Device) -> None:
+        """Says that what was launched on ``device`` writes its copy, which is then the only valid one.
+
+        Called before that is launched where the copy was current, so that no interrupt can come in between; after it
+        where all is overwritten, so that what was there stays valid if the device takes no launch.
+        """
+        self.copies.changed_on(device)
+
+    def changed_on_host(self) -> None:
+        """Says that the host's copy has been written, or will be, and is the only valid one."""
+        self.copies.changed_on_host()
+
+    def overwrite(self, values: Any) -> None:
+        """Sets all values on the host, to what NumPy broadcasts to them; nothing is downloaded for that."""
+        self.copies.overwrite(self._array, values)
+
+    # ---- The same values elsewhere ----
+
+    def reshaped(self, shape: tuple[int, ...]) -> Buffer:
+        """The same memory, with all of its copies, as other rows. The buffer lies in rows."""
+        assert self.layout is Layout.ROWS
+        result = Buffer.__new__(Buffer)
+        result.layout = self.layout
+        result._array = self._array.reshape(shape)
+        result.address = self.address
+        result.copies = self.copies
         return result
 
     def in_layout(self, layout: Layout) -> Buffer:
         """The same values in ``layout``: this buffer if they lie so already, else a new one."""
         if layout is self.layout:
             return self
-        result = Buffer(self.host.shape, self.host.dtype, layout)
+        result = Buffer(self._array.shape, self._array.dtype, layout)
         for source, target in zip(self._components(), result._components(), strict=True):
             np.copyto(target, source)
         return result
 
     def permuted(self, order: npt.NDArray[np.int64]) -> Buffer:
         """A new buffer of the same layout whose row ``p`` is row ``order[p]`` of this one."""
-        result = Buffer(self.host.shape, self.host.dtype, self.layout)
+        result = Buffer(self._array.shape, self._array.dtype, self.layout)
         if self.layout is Layout.ROWS:
             # mode="clip": with the default, NumPy would gather into a temporary and copy that.
             np.take(self.host, order, axis=0, out=result.host, mode="clip")
@@ -72,9 +136,9 @@ class Buffer:
 
     def mapped(self, table: npt.NDArray[np.int64]) -> Buffer:
         """A new buffer of the same layout with ``table[k]`` for every key ``k``; unset keys, -1, stay -1."""
-        result = Buffer(self.host.shape, self.host.dtype, self.layout)
+        result = Buffer(self._array.shape, self._array.dtype, self.layout)
         # Wrapped around, the index -1 is that of the last entry.
-        np.take(np.append(table, -1).astype(self.host.dtype), self.host, out=result.host, mode="wrap")
+        np.take(np.append(table, -1).astype(self._array.dtype), self.host, out=result.host, mode="wrap")
         return result
 
     def _components(self) -> list[Array]:
@@ -82,6 +146,24 @@ class Buffer:
         rows, *shape = self.host.shape
         flat = self.host.reshape(rows, prod(shape))
         return [flat[:, component] for component in range(prod(shape))]
+
+
+def host_code_uses(buffers: Iterable[Buffer], written: Iterable[Buffer]) -> None:
+    """Readies the host's copies for code on the processor, which goes by addresses, until the structure changes.
+
+    Args:
+        buffers: what it reads or writes: made current.
+        written: those of them that it writes: the host's copy is then the only valid one.
+
+    Raises:
+        BackendError: a device does not give what it has.
+    """
+    host_code_relies()
+    for buffer in buffers:
+        if not buffer.copies.is_current:
+            buffer.copies.refresh()
+    for buffer in written:
+        buffer.changed_on_host()
 
 
 def column_stride(rows: int, itemsize: int) -> int:
@@ -105,8 +187,11 @@ def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
     return block[start : start + nbytes].view(dtype).reshape(shape)
 
 
-def _columns(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
-    """A zeroed array of ``shape`` in columns along its first axis."""
+def _column_block(shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, ...]:
+    """The shape of the block of memory that an array of ``shape`` lies in, in columns along its first axis."""
     rows, *components = shape
-    block = aligned_zeros((*components, column_stride(rows, dtype.itemsize)), dtype)
+    return (*components, column_stride(rows, dtype.itemsize))
+
+
+def _in_columns(block: Array, rows: int) -> Array:
     return np.moveaxis(block[..., :rows], -1, 0)

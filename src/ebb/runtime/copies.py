@@ -1,0 +1,233 @@
+"""Copies of a block of bytes: the host's and those of devices, which of them are valid, and what moves between them.
+
+One copy at least is valid at any time. Nothing moves before somebody needs it where it is not: a device that is to read
+it, or the host. A transfer that raises leaves its target as it was known: not valid.
+
+Machine code on the processor reads and writes the host's copies without asking. So what binds such code makes them
+current, and calls ``host_code_relies``: as long as the structure stays the same, no host's copy may go out of date, and
+no device's come up beside it. What does either says that the structure has changed.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import weakref
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from ebb.records import field, record
+from ebb.runtime.epoch import structure, structure_changed
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from ebb.runtime.device import Device, Memory
+
+Bytes: TypeAlias = "npt.NDArray[np.uint8]"
+
+GRAIN = 64
+"""Devices' memory is taken in multiples of this many bytes: an update of a byte may go by the word around it."""
+
+
+@record(frozen=False)
+class Traffic:
+    """What has been moved since the process began: how many transfers there were, and their bytes."""
+
+    uploads: int = 0
+    uploaded: int = 0
+    downloads: int = 0
+    downloaded: int = 0
+
+
+traffic = Traffic()
+
+
+@record(frozen=False)
+class _Transfers:
+    """What is held while copies move, and the epoch in which host code has come to rely on the host's."""
+
+    moving: AbstractContextManager[Any] = field(default_factory=threading.RLock)
+    relied: object = None
+
+
+_transfers = _Transfers()
+
+
+def _after_fork() -> None:
+    _transfers.moving = threading.RLock()  # another thread of the parent may have held it
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def host_code_relies() -> None:
+    """Says that what is bound from now on takes the host's copies that it uses for valid, and for the only valid ones
+    where it writes them, until the structure changes."""
+    _transfers.relied = structure.epoch
+
+
+def tell_host_code() -> None:
+    """Has code on the processor look again which copies are valid, if any relies on what it saw."""
+    if _transfers.relied is structure.epoch:
+        structure_changed()
+
+
+@record(frozen=False, eq=False)
+class _Held:
+    """A device's copy."""
+
+    memory: Memory
+    valid: bool = False
+
+
+@record
+class CopyState:
+    """What ``ebb.memory`` tells of a device's copy."""
+
+    device: str
+    nbytes: int
+    valid: bool
+
+
+class Copies:
+    """A block of bytes on the host, at an address that is fixed, and its copies on devices.
+
+    Attributes:
+        host: the host's copy, a flat array, whether valid or not.
+        is_current: whether the host's copy is valid.
+    """
+
+    __slots__ = ("_held", "host", "is_current")
+
+    def __init__(self, host: Bytes) -> None:
+        self.host = host
+        self.is_current = True
+        self._held: dict[Device, _Held] = {}
+
+    def refresh(self) -> None:
+        """Makes the host's copy valid: waits for the device whose copy is, and downloads it.
+
+        Raises:
+            BackendError: the device does not give it.
+        """
+        with _transfers.moving:
+            if self.is_current:  # another thread was quicker
+                return
+            device, held = next(item for item in self._held.items() if item[1].valid)
+            if self.host.size:
+                device.download(held.memory, self.host)
+                traffic.downloads += 1
+                traffic.downloaded += self.host.size
+            self.is_current = True
+
+    def on(self, device: Device, overwritten: bool) -> Memory:
+        """The device's copy, made valid unless all of it will be overwritten."""
+        held = self._held.get(device)
+        if held is not None and held.valid:
+            return held.memory
+        with _transfers.moving:
+            # In the table before its bytes are taken: who changes the host's copy meanwhile then waits, and says so.
+            held = self._held.get(device)
+            if held is None:
+                held = self._held[device] = _Held(device.allocate(_whole_grains(self.host.size)))
+            if not (held.valid or overwritten):
+                self.refresh()
+                tell_host_code()
+                _upload(device, held.memory, self.host)
+                held.valid = True
+            return held.memory
+
+    def changed_on(self, device: Device) -> None:
+        """Says that the copy that ``on`` gave is the only valid one."""
+        held = self._held[device]
+        if held.valid and not self.is_current and len(self._held) == 1:
+            return
+        with _transfers.moving:
+            held.valid = True  # first: one copy is valid, whenever an interrupt comes
+            tell_host_code()
+            self.is_current = False
+            for other in self._held.values():
+                if other is not held:
+                    other.valid = False
+
+    def changed_on_host(self) -> None:
+        """Says that the host's copy is the only valid one."""
+        if self._held:
+            with _transfers.moving:
+                self.is_current = True
+                for held in self._held.values():
+                    held.valid = False
+
+    def overwrite(self, target: npt.NDArray[Any], values: Any) -> None:
+        """Sets ``target``, an array on all of the host's copy, to ``values``, without looking at what was there."""
+        if self._held:
+            with _transfers.moving:
+                if self.is_current:
+                    self.changed_on_host()
+                target[...] = values  # if this is interrupted while the host's copy is out of date, it still is
+                self.changed_on_host()
+        else:
+            target[...] = values
+            self.changed_on_host()  # should a device have taken a copy meanwhile
+
+    @property
+    def is_only_here(self) -> bool:
+        """Whether no device has a valid copy."""
+        return not self._held or not any([held.valid for held in list(self._held.values())])
+
+    def states(self) -> tuple[CopyState, ...]:
+        """The devices' copies."""
+        return tuple([CopyState(d.name, held.memory.nbytes, held.valid) for d, held in list(self._held.items())])
+
+
+# ---- Arrays that never change ----
+
+_constants: dict[int, tuple[weakref.ref[npt.NDArray[Any]], dict[Device, Memory]]] = {}
+"""The devices' copies of arrays that never change, by ``id``; an entry goes with its array."""
+
+
+def constant_on(device: Device, array: npt.NDArray[Any]) -> Memory:
+    """A copy of ``array``, which nobody changes any more; it is uploaded once, and kept as long as the array.
+
+    Raises:
+        BackendError: the device has no room for it.
+    """
+    kept = _constants.get(id(array))
+    if kept is not None and device in kept[1]:
+        return kept[1][device]
+    with _transfers.moving:
+        number = id(array)
+        if number not in _constants:
+
+            def forget(_: object) -> None:
+                _constants.pop(number, None)
+
+            _constants[number] = weakref.ref(array, forget), {}
+        copies = _constants[number][1]
+        if device not in copies:
+            flat: Bytes = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+            memory = device.allocate(_whole_grains(flat.size))
+            _upload(device, memory, flat)
+            copies[device] = memory
+        return copies[device]
+
+
+def constant_states(array: npt.NDArray[Any]) -> tuple[CopyState, ...]:
+    """The devices' copies of an array that never changes."""
+    kept = _constants.get(id(array))
+    return () if kept is None else tuple([CopyState(d.name, m.nbytes, True) for d, m in list(kept[1].items())])
+
+
+def _upload(device: Device, memory: Memory, source: Bytes) -> None:
+    if source.size:
+        device.upload(memory, source)
+        traffic.uploads += 1
+        traffic.uploaded += source.size
+
+
+def _whole_grains(nbytes: int) -> int:
+    return max(1, -(-nbytes // GRAIN)) * GRAIN
