@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import operator
 import os
+import re
 import sys
 from contextlib import suppress
 from enum import Enum
@@ -27,6 +28,8 @@ _ENVIRONMENT = "EBB_OPENCL_DEVICE"
 #: The numbers that OpenCL gives to what a device can do with atomic floats, which pyopencl does not name.
 _SINGLE_ATOMICS, _DOUBLE_ATOMICS = 0x4231, 0x4232
 _GLOBAL_ADD, _GLOBAL_MIN_MAX = 1 << 1, 1 << 2
+
+_SPIRV = re.compile(r"SPIR-V_(\d+)\.(\d+)")
 
 
 class Kind(Enum):
@@ -226,7 +229,7 @@ def _candidate(number: int, device: cl.Device) -> Candidate:
 def _spirv_version(device: cl.Device) -> tuple[int, int]:
     """The last version that it names, as in ``SPIR-V_1.0 SPIR-V_1.4``."""
     with suppress(_cl().Error):  # before OpenCL 2.1, unless it has the extension
-        named = [name.removeprefix("SPIR-V_").split(".") for name in device.il_version.split() if "SPIR-V_" in name]
+        named = _SPIRV.findall(str(device.il_version))
         return max(((int(major), int(minor)) for major, minor in named), default=(0, 0))
     return (0, 0)
 

@@ -26,8 +26,14 @@ _NO_MEMORY = (
 _PATTERNS = frozenset(1 << power for power in range(8))
 """The sizes in bytes of what OpenCL can fill memory with."""
 
+_ADDRESS = 8
+"""Bytes of a parameter that is memory: devices with other addresses are not opened."""
+
 _EXACT = "-cl-fp32-correctly-rounded-divide-sqrt"
 """Division and square roots of float32 as everywhere else, where a device can; else they may be off by three units."""
+
+#: The parts of SPIR-V that are read here: words of the header, instructions, and an execution mode.
+_HEADER_WORDS, _EXECUTION_MODE, _FUNCTION, _LOCAL_SIZE = 5, 16, 54, 17
 
 _SMALLER = "let fewer rows run together: @ebb.kernel(block_size=32), or block_size=32 in the launch"
 
@@ -123,6 +129,7 @@ class OpenCLDevice:
         if version > self.candidate.spirv:
             log = "this is SPIR-V {}.{}, and it takes up to {}.{}".format(*version, *self.candidate.spirv)
             raise BackendError(CodeRefused(self.name, kernel, log))
+        self._check_group(kernel, _required_threads(image), self.candidate.group_size)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", cl.CompilerWarning)  # what compilers say when all is well
@@ -150,9 +157,7 @@ class OpenCLDevice:
         self._check_process()
         if not entry.prepared:
             self._prepare(entry, arguments)
-        if group_size > entry.group_size:
-            what = "threads in a work-group"
-            raise BackendError(LaunchTooLarge(self.name, entry.kernel, what, group_size, entry.group_size, _SMALLER))
+        self._check_group(entry.kernel, group_size, entry.group_size)
         if not groups:
             return
         values: list[Any] = [each.buffer if isinstance(each, Memory) else each for each in arguments]
@@ -164,17 +169,24 @@ class OpenCLDevice:
             nbytes = sum(each.nbytes for each in arguments if isinstance(each, Memory))
             raise self._failure(f"launching kernel '{entry.kernel}'", error, nbytes) from error
 
+    def _check_group(self, kernel: str, asked: int, most: int) -> None:
+        if asked > most:
+            what = "threads in a work-group"
+            raise BackendError(LaunchTooLarge(self.name, kernel, what, asked, most, _SMALLER))
+
     def _prepare(self, entry: Entry, arguments: Sequence[device.KernelArgument]) -> None:
         """Tells pyopencl the types of the parameters: to set them takes a tenth of the time then."""
+        given: list[Any] = list(arguments)
+        types = [None if isinstance(each, Memory) else each.dtype for each in given]
         size = 0
-        for argument in arguments:
-            width = argument.nbytes if isinstance(argument, np.generic) else self.candidate.address_bits // 8
+        for scalar in types:
+            width = _ADDRESS if scalar is None else scalar.itemsize
             size = -(-size // width) * width + width
         most = self._handle.max_parameter_size
         if size > most:
             what, remedy = "bytes of arguments", "use fewer fields, globals and parameters in it: make two of it"
             raise BackendError(LaunchTooLarge(self.name, entry.kernel, what, size, most, remedy))
-        entry.handle.set_arg_types([each.dtype if isinstance(each, np.generic) else None for each in arguments])
+        entry.handle.set_arg_types(types)  # pyright: ignore[reportUnknownMemberType]
         entry.prepared = True
 
     def wait(self) -> None:
@@ -201,3 +213,20 @@ class OpenCLDevice:
     def _out_of_memory(self, nbytes: int) -> BackendError:
         total, most = self.candidate.memory, self._most_bytes
         return BackendError(OutOfDeviceMemory(self.name, nbytes, self.taken, total, most))
+
+
+def _required_threads(image: bytes) -> int:
+    """The most threads that a kernel of a SPIR-V module says its work-groups have, 0 where none says.
+
+    Compilers refuse what is beyond the device, each in its own words.
+    """
+    words = np.frombuffer(image, np.uint32)
+    most, at = 0, _HEADER_WORDS
+    while at < words.size:
+        count, instruction = divmod(int(words[at]), 1 << 16)
+        if instruction == _EXECUTION_MODE and words[at + 2] == _LOCAL_SIZE:
+            most = max(most, int(np.prod(words[at + 3 : at + 6])))
+        if instruction == _FUNCTION:
+            break
+        at += max(count, 1)
+    return most

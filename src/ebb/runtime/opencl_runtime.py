@@ -150,7 +150,7 @@ def _vendors(setting: str | None) -> list[str]:
     if not setting.endswith(".icd"):
         return [setting]
     places = [Path(setting)] if "/" in setting else [*(folder / setting for folder in folders), Path(setting)]
-    return next(([driver] for place in places if (driver := _driver_of(place))), [])
+    return [driver for place in places if (driver := _driver_of(place))][:1]
 
 
 def _drivers_in(folder: Path) -> list[str]:
