@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import ebb
+from ebb.compiler import lir, lir_print
+from ebb.compiler.lower import Launched, facts_of, lower
 
 HERE = Path(__file__).parent
 
@@ -95,6 +97,15 @@ PROGRAM = program()
 def test_stage_reads_as_before(name: str, stage: str, golden) -> None:
     kernel, relation = PROGRAM[name]
     golden(HERE / f"{name}.{stage}", kernel.inspect(relation, stage).rstrip() + "\n")
+
+
+@pytest.mark.parametrize("name", ["measure_total_energy", "compute_internal_forces"])
+def test_programs_for_groups_read_as_before(name: str, golden) -> None:
+    kernel, relation = PROGRAM[name]
+    checked = kernel._find_launch(relation, ()).specialisation.checked
+    facts, precision = facts_of(checked.kernel), lir.Precision.CONTRACT
+    program = lower(checked.kernel, checked.phases, (), facts, Launched.ALL, precision, group_size=64)
+    golden(HERE / f"{name}.groups.lir", lir_print.text(program))
 
 
 def test_text_of_a_stage_names_no_data() -> None:

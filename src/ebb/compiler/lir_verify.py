@@ -82,9 +82,11 @@ class _Checker:
             case lir.Declare(var):
                 self.demand(var.memory is lir.Memory.PRIVATE or self.together(), "declares a variable of a group here")
                 self.vars.add(var.number)
-            case lir.StoreVar(var, index, value) | lir.Accumulate(var, index, _, value):
-                alone = isinstance(stmt, lir.StoreVar) or var.memory is lir.Memory.PRIVATE
-                self.demand(alone, "accumulates where other threads do")
+            case lir.StoreVar(var, index, value):
+                self.var(var, index)
+                self.typed(value, var.type)
+            case lir.Accumulate(var, index, _, value):
+                self.demand(var.memory is lir.Memory.PRIVATE, "accumulates where other threads do")
                 self.var(var, index)
                 self.typed(value, var.type)
             case lir.Store(slot, index, value) | lir.AtomicUpdate(slot, index, _, value):
@@ -106,12 +108,8 @@ class _Checker:
                     self.body(body)
             case lir.Leave(label):
                 self.demand(label.number in self.labels, f"leaves {label.name}, which it is not in")
-            case lir.RowLoop(index, _, body):
-                self.demand(self.row_loops, "loops over rows outside of a block")
-                self.demand(len(index) == self.program.dimensions, "has not one index a dimension")
-                self.in_row = True
-                self.loop(index, body)
-                self.in_row = False
+            case lir.RowLoop():
+                self.row_loop(stmt)
             case lir.Barrier():
                 self.demand(self.together(), "waits where not all threads of a group get")
             case lir.Fail() | lir.Print():
@@ -136,6 +134,13 @@ class _Checker:
             for temp in index:
                 self.define(temp)
             self.body(body)
+
+    def row_loop(self, stmt: lir.RowLoop) -> None:
+        self.demand(self.row_loops, "loops over rows outside of a block")
+        self.demand(len(stmt.index) == self.program.dimensions, "has not one index a dimension")
+        self.in_row = True
+        self.loop(stmt.index, stmt.body)
+        self.in_row = False
 
     def while_loop(self, stmt: lir.While) -> None:
         with self.scope():
