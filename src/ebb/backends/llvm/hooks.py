@@ -8,11 +8,19 @@ from enum import Enum
 from ebb.backends.llvm.vector_math import VectorForms, vector_forms
 from ebb.records import record, replace
 
-_INTRINSICS = (
-    "sqrt", "exp", "exp2", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
-    "tanh", "floor", "ceil", "trunc", "pow", "atan2", "copysign",
-)  # fmt: skip
+INTRINSICS: Mapping[str, str] = {
+    name: f"llvm.{name}.{{type}}"
+    for name in (
+        "sqrt", "exp", "exp2", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
+        "tanh", "floor", "ceil", "trunc", "pow", "atan2", "copysign",
+    )
+} | {"abs": "llvm.fabs.{type}", "round": "llvm.rint.{type}"}  # fmt: skip
+"""The functions of ``lir.MATH`` that LLVM knows, by its own names."""
+
 _LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot", "erf", "erfc", "lgamma")
+
+NOT_ALWAYS_RIGHT = frozenset({"llvm.minimum", "llvm.maximum", "llvm.fptosi.sat", "llvm.fptoui.sat"})
+"""The intrinsics that need not be the target's: what they do is said in plain instructions as well."""
 
 
 class Strips(Enum):
@@ -24,30 +32,84 @@ class Strips(Enum):
 
 
 @record
+class Call:
+    """A call of a function of the target's.
+
+    Attributes:
+        type: what it returns.
+        name: of the function.
+        operands: literals with their types, or nothing.
+    """
+
+    type: str
+    name: str
+    operands: str = ""
+
+
+@record
+class Groups:
+    """What code for groups of threads wants.
+
+    Attributes:
+        kernel: the calling convention of kernels.
+        global_memory: the address space of slots, as in ``ptr addrspace(1)``.
+        group_memory: the address space of variables of a group.
+        thread: the number of the thread in its group.
+        group: the number of the group in the launch of the kernel.
+        groups: how many groups that has.
+        barrier: waits for all threads of the group; they see one another's stores to the group's memory.
+        scope: of atomic operations that all threads of the device see.
+        float_adds: the bits of floats that are added atomically by an instruction.
+        atomic_bits: the width of the narrowest atomic operations.
+        notes: metadata of kernels, by kind; ``{group_size}`` stands for the threads of a group.
+    """
+
+    kernel: str
+    global_memory: str
+    group_memory: str
+    thread: Call
+    group: Call
+    groups: Call
+    barrier: Call
+    scope: str
+    float_adds: frozenset[int]
+    atomic_bits: int
+    notes: Mapping[str, str]
+
+
+@record
 class Hooks:
     """The names and attributes that one kind of target wants.
 
     Attributes:
-        math: the function that computes each function of ``lir.MATH`` on floats; ``{type}`` stands for LLVM's ``f32``
-            or ``f64``, ``{suffix}`` for C's ``f`` or nothing.
-        attributes: the attributes of the functions that loop over rows.
+        math: the function that computes each function of ``lir.MATH`` on floats, but for those that are instructions;
+            ``{type}`` stands for LLVM's ``f32`` or ``f64``, ``{suffix}`` for C's ``f`` or nothing, ``{operands}`` for
+            OpenCL's ``f`` or ``d``, one an operand.
+        convention: the calling convention of functions, with a space behind it if it is not C's.
+        missing: the intrinsics, of ``NOT_ALWAYS_RIGHT``, in whose place instructions are emitted.
+        attributes: the attributes of the functions that run rows; ``{group_size}`` stands for the threads of a group.
         strips: which loops run in strips.
         vector_math: the functions that the target has for several values at once.
+        groups: of a target that runs groups of threads.
     """
 
     math: Mapping[str, str]
+    convention: str
+    missing: frozenset[str]
     attributes: str
     strips: Strips
     vector_math: VectorForms
+    groups: Groups | None
 
 
 CPU = Hooks(
-    math={name: f"llvm.{name}.{{type}}" for name in _INTRINSICS}
-    | {"abs": "llvm.fabs.{type}", "round": "llvm.rint.{type}", "gamma": "tgamma{suffix}"}
-    | {name: f"{name}{{suffix}}" for name in _LIBM},
+    math={**INTRINSICS, "gamma": "tgamma{suffix}", **{name: f"{name}{{suffix}}" for name in _LIBM}},
+    convention="",
+    missing=frozenset(),
     attributes='nounwind "prefer-vector-width"="512" "no-trapping-math"="true"',
     strips=Strips.NONE,
     vector_math={},
+    groups=None,
 )
 
 STRIPS_FEATURE = "+avx2"

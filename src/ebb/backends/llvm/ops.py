@@ -154,12 +154,21 @@ def compare(w: Writer, op: str, scalar: ScalarType, a: str, b: str) -> str:
 
 
 def _min_max(w: Writer, op: str, scalar: ScalarType, a: str, b: str, flags: str) -> str:
-    t = llvm_type(scalar)
-    name = f"{min_max(op, scalar)}.{_suffix(scalar)}"
+    t, intrinsic = llvm_type(scalar), min_max(op, scalar)
+    if intrinsic in w.hooks.missing:
+        return _ordered_min_max(w, op, t, a, b)
+    name = f"{intrinsic}.{_suffix(scalar)}"
     w.declare(f"{t} @{name}({t}, {t})")
     # Which of -0.0 and 0.0 comes out is not fixed, as in NumPy; without nsz that costs instructions.
     extra = f"{flags}{'' if 'nsz' in flags else ' nsz'}" if scalar.kind is Kind.FLOAT else ""
     return w.emit(f"call{extra} {t} @{name}({t} {a}, {t} {b})")
+
+
+def _ordered_min_max(w: Writer, op: str, t: str, a: str, b: str) -> str:
+    """The one of two floats that is less or greater, or the NaN."""
+    first = w.emit(f"fcmp {'olt' if op == 'min' else 'ogt'} {t} {a}, {b}")
+    not_a_number = w.emit(f"fcmp uno {t} {a}, {a}")
+    return w.emit(f"select i1 {w.emit(f'or i1 {first}, {not_a_number}')}, {t} {a}, {t} {b}")
 
 
 def _suffix(scalar: ScalarType) -> str:
@@ -233,7 +242,7 @@ def _shift(instruction: str, beyond: str | None) -> Callable[[Writer, ScalarType
 def _float_divmod(w: Writer, scalar: ScalarType, a: str, b: str) -> tuple[str, str]:
     """The floored quotient before it is made whole, and the remainder, as NumPy's ``divmod``; ``b`` is not 0."""
     t = llvm_type(scalar)
-    remainder = w.emit(f"frem {t} {a}, {b}")
+    remainder = math(w, "fmod", scalar, (a, b), "")
     quotient = w.emit(f"fdiv {t} {w.emit(f'fsub {t} {a}, {remainder}')}, {b}")
     some = w.emit(f"fcmp une {t} {remainder}, 0.0")
     b_negative, r_negative = (w.emit(f"fcmp olt {t} {x}, 0.0") for x in (b, remainder))
@@ -303,10 +312,26 @@ def _from_float(w: Writer, source: ScalarType, target: ScalarType, x: str) -> st
     s, t = llvm_type(source), llvm_type(target)
     if target.kind is Kind.FLOAT:
         return w.emit(f"{conversion(source, target)} {s} {x} to {t}")
-    sign = "s" if target.kind is Kind.SIGNED else "u"
-    name = f"llvm.fpto{sign}i.sat.{t}.{_suffix(source)}"
+    instruction = f"fpto{'s' if target.kind is Kind.SIGNED else 'u'}i"
+    if f"llvm.{instruction}.sat" in w.hooks.missing:
+        return _saturated(w, instruction, source, target, x)
+    name = f"llvm.{instruction}.sat.{t}.{_suffix(source)}"
     w.declare(f"{t} @{name}({s})")
     return w.emit(f"call {t} @{name}({s} {x})")
+
+
+def _saturated(w: Writer, instruction: str, source: ScalarType, target: ScalarType, x: str) -> str:
+    """``x``, a float, by an ``instruction`` that is right only for what ``target`` can hold."""
+    s, t = llvm_type(source), llvm_type(target)
+    signed = target.kind is Kind.SIGNED
+    least, beyond = (-(1 << target.bits - 1), 1 << target.bits - 1) if signed else (0, 1 << target.bits)
+    above = w.emit(f"fcmp oge {s} {x}, {literal(beyond, source)}")
+    below = w.emit(f"fcmp olt {s} {x}, {literal(least, source)}")
+    outside = w.emit(f"or i1 {w.emit(f'or i1 {above}, {below}')}, {w.emit(f'fcmp uno {s} {x}, {x}')}")
+    inside = w.emit(f"select i1 {outside}, {s} {literal(0.0, source)}, {s} {x}")
+    number = w.emit(f"{instruction} {s} {inside} to {t}")
+    number = w.emit(f"select i1 {above}, {t} {literal(beyond - 1, target)}, {t} {number}")
+    return w.emit(f"select i1 {below}, {t} {literal(least, target)}, {t} {number}")
 
 
 def to_word(w: Writer, scalar: ScalarType, x: str) -> str:
@@ -331,27 +356,31 @@ def math(
 ) -> str:
     """A function of ``lir.MATH``, which LLVM may call in one of ``forms`` for several values at once."""
     t = llvm_type(scalar)
-    if function == "fmod":
+    if function not in w.hooks.math and function == "fmod":
         return w.emit(f"frem{flags} {t} {operands[0]}, {operands[1]}")
     if function == "ipow":
         return _integer_power(w, scalar, operands)
-    name = w.hooks.math[function].format(type=_suffix(scalar), suffix="f" if scalar.bits == 32 else "")
-    pure = "" if name.startswith("llvm.") else PURE
-    w.declare(f"{t} @{name}({', '.join([t] * len(operands))}){pure}")
+    letter = "f" if scalar.bits == 32 else "d"
+    name = w.hooks.math[function].format(
+        type=_suffix(scalar), suffix=letter.replace("d", ""), operands=letter * len(operands)
+    )
+    convention, pure = ("", "") if name.startswith("llvm.") else (w.hooks.convention, PURE)
+    w.declare(f"{convention}{t} @{name}({', '.join([t] * len(operands))}){pure}")
     for form in forms:
         wide = f"<{form.lanes} x {t}>"
         w.keep(f"{wide} @{form.symbol}({', '.join([wide] * form.operands)}){PURE}", form.symbol)
     variants = ",".join(form.variant(name) for form in forms)
     attribute = f' "vector-function-abi-variant"="{variants}"' if forms else ""
-    return w.emit(f"call{flags} {t} @{name}({', '.join(f'{t} {x}' for x in operands)}){attribute}")
+    return w.emit(f"call{flags} {convention}{t} @{name}({', '.join(f'{t} {x}' for x in operands)}){attribute}")
 
 
 def _integer_power(w: Writer, scalar: ScalarType, operands: tuple[str, ...]) -> str:
     t = llvm_type(scalar)
     name = f"ebb.ipow.{scalar.name}"
     template = _SIGNED_POWER if scalar.kind is Kind.SIGNED else ""
-    w.define(name, _POWER.format(name=name, t=t, negative=template.format(t=t) or "  br label %start\n"))
-    return w.emit(f"call {t} @{name}({t} {operands[0]}, {t} {operands[1]})")
+    negative = template.format(t=t) or "  br label %start\n"
+    w.define(name, _POWER.format(name=name, t=t, negative=negative, convention=w.hooks.convention))
+    return w.emit(f"call {w.hooks.convention}{t} @{name}({t} {operands[0]}, {t} {operands[1]})")
 
 
 _SIGNED_POWER = """\
@@ -369,7 +398,7 @@ truncated:
 """
 
 _POWER = """\
-define internal {t} @{name}({t} %b, {t} %e) alwaysinline nounwind willreturn memory(none) {{
+define internal {convention}{t} @{name}({t} %b, {t} %e) alwaysinline nounwind willreturn memory(none) {{
 entry:
 {negative}\
 start:
