@@ -16,12 +16,13 @@ from pathlib import Path
 import pytest
 
 import ebb
+from backends import BACKENDS, lacking
 from ebb.diagnostics.diagnostic import Diagnostic
 
 HERE = Path(__file__).parent
 CASES = sorted((HERE / "cases").glob("*/*.py"))
 # What stops a running kernel reads the same on every backend, so these cases run on all of them.
-RUNNING = [(case, backend) for case in CASES for backend in ("cpu", "reference") if case.parent.name == "running"]
+RUNNING = [(case, backend) for case in CASES for backend in BACKENDS if case.parent.name == "running"]
 
 
 def run_case(case: Path) -> ebb.EbbError:
@@ -73,6 +74,8 @@ def test_error(case: Path, work: Path, golden) -> None:
 
 @pytest.mark.parametrize(("case", "backend"), RUNNING, ids=lambda value: getattr(value, "stem", value))
 def test_a_running_kernel_stops_alike_on_every_backend(case: Path, backend: str, work: Path, golden) -> None:
+    if lacking(backend):
+        pytest.skip(lacking(backend))
     with ebb.backend(backend):
         error = run_case(case)
     golden(case.with_suffix(".err"), user_text(error, work))

@@ -8,7 +8,6 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-import ebb
 import rendermesh
 from ebb.domains import TetMesh, TriMesh
 
@@ -66,17 +65,6 @@ def test_normals_are_unit_and_point_outwards(pair):
     ring = p * [1, 1, 0] / np.hypot(p[:, 0], p[:, 1])[:, None]
     assert np.linalg.norm(normal, axis=1) == pytest.approx(1, abs=1e-5)
     assert np.einsum("ij,ij->i", normal, (p - ring) / 0.4).min() > 0.98
-
-
-def test_the_reference_agrees():
-    with ebb.backend("reference"):
-        skin = TriMesh.icosphere(1)
-        solid = TetMesh.from_surface(skin, resolution=3)
-        rendermesh.couple(skin, solid)
-        rendermesh.deform(skin, solid, 0.1)
-        slow = skin.vertices.q.to_numpy()
-    rendermesh.deform(skin, solid, 0.1)
-    assert skin.vertices.q.to_numpy() == pytest.approx(slow, abs=1e-6)
 
 
 @pytest.mark.parametrize("suffix", ["off", "ply", "vtu"])

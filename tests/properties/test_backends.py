@@ -1,4 +1,4 @@
-"""The cpu backend gives what the reference interpreter gives: floats are exact here, so to the bit."""
+"""Compiled backends give what the reference interpreter gives: floats are exact here, so to the bit."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import ebb
+from backends import lacking, runnable
 from ebb.relations.family import family_of
 from ebb.runtime.buffer import Layout
 
@@ -28,15 +29,19 @@ def run_on(program, kernel, backend, **options):
     return program.world.state(), codes
 
 
-def check_backends(program):
+CPU = (("cpu", {"threads": 1}), ("cpu", {"threads": 3}))
+OPENCL = (("opencl", {}), ("opencl", {"deterministic": True}))
+
+
+def check_backends(program, backends=CPU):
     with defined(program) as kernel:
         try:
             kernel.check(program.relation)
         except ebb.EbbError:
             assume(False)
         expected, failure = run_on(program, kernel, "reference")
-        for threads in (1, 3):
-            found, codes = run_on(program, kernel, "cpu", threads=threads)
+        for backend, options in backends:
+            found, codes = run_on(program, kernel, backend, **options)
             assert codes == failure
             if not failure:
                 assert difference(expected, found) is None
@@ -49,11 +54,30 @@ def test_cpu_is_the_reference(salt, data):
     check_backends(data.draw(programs(20 + salt)))
 
 
+@pytest.fixture
+def opencl():
+    if lacking("opencl"):
+        pytest.skip(lacking("opencl"))
+
+
+@settings(max_examples=60, derandomize=True, **QUIET)
+@given(data=st.data())
+def test_opencl_is_the_reference(opencl, data):
+    check_backends(data.draw(programs(25)), OPENCL)
+
+
 @pytest.mark.slow
 @settings(max_examples=500, **QUIET)
 @given(program=programs())
 def test_cpu_is_the_reference_on_many_kernels(program):
     check_backends(program)
+
+
+@pytest.mark.slow
+@settings(max_examples=500, **QUIET)
+@given(program=programs())
+def test_opencl_is_the_reference_on_many_kernels(opencl, program):
+    check_backends(program, OPENCL)
 
 
 @settings(max_examples=50, derandomize=True, **QUIET)
@@ -71,7 +95,7 @@ def test_no_layout_changes_anything(data):
         for field, layout in zip(shaped, layouts, strict=True):
             family_of(field).layout = layout
             family_of(field).convert(field)
-        for backend in ("cpu", "reference"):
+        for backend in runnable():
             found, codes = run_on(program, kernel, backend)
             assert codes == expected[1]
             if not codes:
