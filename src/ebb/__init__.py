@@ -20,6 +20,7 @@ from ebb.kernel import Kernel, func, kernel
 from ebb.relations.field import Field
 from ebb.relations.globals import Global, constant
 from ebb.relations.member import Member
+from ebb.relations.memory import MemoryEntry, MemoryReport, memory
 from ebb.relations.relation import Relation
 from ebb.relations.subset import Subset
 from ebb.runtime.random import seed
@@ -143,6 +144,8 @@ __all__ = [
     "KernelSyntaxError",
     "KernelTypeError",
     "Member",
+    "MemoryEntry",
+    "MemoryReport",
     "MeshFormatError",
     "PhaseError",
     "Relation",
@@ -222,6 +225,7 @@ __all__ = [
     "mat4x3i",
     "matrix",
     "max",
+    "memory",
     "min",
     "normalize",
     "outer",

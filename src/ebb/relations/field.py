@@ -15,6 +15,7 @@ from ebb.relations.loading import Place, called_by_row, converted, target_of
 from ebb.runtime.buffer import Array, Buffer
 from ebb.runtime.copies import tell_host_code
 from ebb.runtime.epoch import structure_changed
+from ebb.runtime.living import Living
 from ebb.runtime.recording import refuse
 from ebb.types.types import Type
 
@@ -74,6 +75,7 @@ class Field:
         if self.holds_keys and buffer is None:
             self.data.fill(UNSET)
             self._unset = relation.size > 0
+        all_fields.add(self)
 
     @property
     def path(self) -> str:
@@ -315,6 +317,10 @@ class Field:
         self.rewritten()
         self.buffer.overwrite(rows)
         self.changed()
+
+
+all_fields: Living[Field] = Living()
+"""All fields that there are, those too that the compiler has made for itself."""
 
 
 def _is_function(value: Any) -> bool:

@@ -11,6 +11,7 @@ from ebb.records import record
 from ebb.relations.errors import NotNumbers
 from ebb.relations.loading import Place, converted
 from ebb.runtime.buffer import Array, Buffer
+from ebb.runtime.living import Living
 from ebb.runtime.recording import recorder, refuse
 from ebb.types.types import KeyType, Type, as_type
 
@@ -35,6 +36,7 @@ class Global:
         self.type: Type = _numeric(as_type(type), "global")
         self.buffer = Buffer(self.type.shape, self.type.dtype)
         self.buffer.overwrite(self._converted(initial))
+        all_globals.add(self)
 
     @property
     def data(self) -> Array:
@@ -75,6 +77,10 @@ class Global:
 
     def __repr__(self) -> str:
         return f"Global({self.type!r}, {self.data.tolist()!r})"
+
+
+all_globals: Living[Global] = Living()
+"""All globals that there are."""
 
 
 @record

@@ -13,6 +13,7 @@ from ebb.records import record
 from ebb.relations.errors import BadSubset, SubsetOutOfRange
 from ebb.relations.storage import Rows, Storage
 from ebb.runtime.buffer import Array
+from ebb.runtime.living import Living
 
 if TYPE_CHECKING:
     from ebb.relations.relation import Relation
@@ -96,7 +97,7 @@ class Subset:
         boxes: the rows as disjoint boxes, or None where the relation is no grid or they are no boxes.
     """
 
-    __slots__ = ("_identities", "_positions", "_version", "boxes", "name", "relation", "size", "storage")
+    __slots__ = ("__weakref__", "_identities", "_positions", "_version", "boxes", "name", "relation", "size", "storage")
 
     def __init__(self, relation: Relation, name: str, rows: tuple[Box, ...] | Rows) -> None:
         self.relation = relation
@@ -107,6 +108,7 @@ class Subset:
         self._positions: Rows | None = None
         self._version = -1
         self.size = sum(box.size for box in rows) if isinstance(rows, tuple) else int(rows.size)
+        all_subsets.add(self)
 
     def row_positions(self) -> Rows:
         """The positions of the rows, ascending; they follow the relation when its storage is permuted."""
@@ -126,11 +128,20 @@ class Subset:
             self._identities = np.flatnonzero(mask)
         return self._identities
 
+    def kept_arrays(self) -> list[Rows]:
+        """The arrays that it keeps to find its rows by: their numbers, and their positions where these are others."""
+        found = [self._identities, None if self._positions is self._identities else self._positions]
+        return [array for array in found if array is not None]
+
     def __len__(self) -> int:
         return self.size
 
     def __repr__(self) -> str:
         return f"<subset {self.relation.name}.{self.name}: {self.size} of {self.relation.size} rows>"
+
+
+all_subsets: Living[Subset] = Living()
+"""All subsets that there are."""
 
 
 def select(relation: Relation, name: str, selection: Any) -> Subset:

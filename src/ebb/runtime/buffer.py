@@ -70,6 +70,21 @@ class Buffer:
         return self.copies.is_only_here
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of rows, then of the components."""
+        return self._array.shape
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of a component."""
+        return self._array.dtype
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """How many bytes the next row lies behind a row, then the same of components, in every copy."""
+        return self._array.strides
+
+    @property
     def nbytes(self) -> int:
         """The bytes of the values, without what lies between columns."""
         return self._array.nbytes
@@ -118,14 +133,14 @@ class Buffer:
         """The same values in ``layout``: this buffer if they lie so already, else a new one."""
         if layout is self.layout:
             return self
-        result = Buffer(self._array.shape, self._array.dtype, layout)
+        result = Buffer(self.shape, self.dtype, layout)
         for source, target in zip(self._components(), result._components(), strict=True):
             np.copyto(target, source)
         return result
 
     def permuted(self, order: npt.NDArray[np.int64]) -> Buffer:
         """A new buffer of the same layout whose row ``p`` is row ``order[p]`` of this one."""
-        result = Buffer(self._array.shape, self._array.dtype, self.layout)
+        result = Buffer(self.shape, self.dtype, self.layout)
         if self.layout is Layout.ROWS:
             # mode="clip": with the default, NumPy would gather into a temporary and copy that.
             np.take(self.host, order, axis=0, out=result.host, mode="clip")
@@ -136,9 +151,9 @@ class Buffer:
 
     def mapped(self, table: npt.NDArray[np.int64]) -> Buffer:
         """A new buffer of the same layout with ``table[k]`` for every key ``k``; unset keys, -1, stay -1."""
-        result = Buffer(self._array.shape, self._array.dtype, self.layout)
+        result = Buffer(self.shape, self.dtype, self.layout)
         # Wrapped around, the index -1 is that of the last entry.
-        np.take(np.append(table, -1).astype(self._array.dtype), self.host, out=result.host, mode="wrap")
+        np.take(np.append(table, -1).astype(self.dtype), self.host, out=result.host, mode="wrap")
         return result
 
     def _components(self) -> list[Array]:
