@@ -11,6 +11,7 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
+from ebb.records import record
 from ebb.runtime.buffer import Array
 
 FAILURE_WORDS = 12
@@ -72,6 +73,11 @@ class Device(Protocol):
         """What it does not have."""
         ...
 
+    @property
+    def dlpack_device(self) -> tuple[int, int] | None:
+        """What DLPack calls it where other libraries can use its memory, by an attribute ``address``; else None."""
+        ...
+
     def allocate(self, nbytes: int) -> Memory:
         """Memory of ``nbytes`` bytes, whatever they hold.
 
@@ -119,3 +125,26 @@ class Device(Protocol):
             BackendError: the device failed meanwhile.
         """
         ...
+
+
+# ---- The device that kernels run on ----
+
+
+@record(frozen=False)
+class _Current:
+    """What ``use_device`` was told last."""
+
+    device: Device | None = None
+
+
+_current = _Current()
+
+
+def current_device() -> Device | None:
+    """The device of the backend that launches run on; None for the processor."""
+    return _current.device
+
+
+def use_device(device: Device | None) -> None:
+    """Says on which device launches run from now on. Choosing a backend calls this."""
+    _current.device = device

@@ -196,3 +196,52 @@ class DeviceFailed(Diagnostic):
     @property
     def hints(self) -> tuple[str, ...]:
         return self.remedies or ("start the program again; if that does not help, update the driver of the device",)
+
+
+@record
+class NoLibdevice(Diagnostic):
+    """A kernel calls functions that are NVIDIA's library for GPUs, which is not installed."""
+
+    code: ClassVar[str] = "E618"
+    functions: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        return f"the code of {' and '.join(self.functions)} for NVIDIA's GPUs is not installed"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("it is a library of NVIDIA's, libdevice.10.bc, which kernels need that call such functions",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (
+            'pip install "ebblang[cuda]"',
+            "or name the folder of a CUDA toolkit: export CUDA_HOME=/usr/local/cuda",
+        )
+
+
+@record
+class NoSuchView(Diagnostic):
+    """A view of a field's memory on a device, while kernels run elsewhere. ``current`` is what they run on."""
+
+    code: ClassVar[str] = "E619"
+    function: str
+    field: str
+    backend: str
+    current: str
+
+    @property
+    def title(self) -> str:
+        return f"{self.function}({self.field}) is for the backend '{self.backend}', and kernels run on '{self.current}'"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("such a view is the memory that kernels work on",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (
+            f'choose the backend before: ebb.set_backend("{self.backend}")',
+            f"or take the memory of the host: {self.field}.view()",
+        )

@@ -72,6 +72,7 @@ class OpenCLDevice:
         self.candidate = candidate
         self.name = candidate.name
         self.lacks = candidate.lacks
+        self.dlpack_device = None
         self.taken = 0
         self._process = os.getpid()
         self._handle = candidate.handle
