@@ -75,12 +75,10 @@ def lower(
 
 
 def _rows(kernel: kir.Kernel, phases: PhaseTable, updates: lir.Updates, group_size: int | None) -> lir.Rows:
-    """Whether rows run in order: for shared sums, and on one thread for prints, which groups leave to the host."""
-    why = why_in_order(kernel, phases)
-    if why is InOrder.PRINTS and group_size is not None:
-        why = InOrder.SHARED_SUMS if shares_sums(phases) else None
-    apart = why is None or (why is InOrder.SHARED_SUMS and updates is lir.Updates.ATOMIC)
-    return lir.Rows.INDEPENDENT if apart else lir.Rows.IN_ORDER
+    """Whether rows run in order: for plain shared sums, and for prints, but those of groups are sorted by the host."""
+    prints = group_size is None and why_in_order(kernel, phases) is InOrder.PRINTS
+    shares = updates is lir.Updates.PLAIN and shares_sums(phases)
+    return lir.Rows.IN_ORDER if prints or shares else lir.Rows.INDEPENDENT
 
 
 def variable_bytes(kernel: kir.Kernel) -> int:

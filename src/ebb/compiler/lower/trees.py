@@ -1,6 +1,7 @@
-"""What the threads of a group have each, combined by a tree: half of them, then a quarter, and so on, take another's.
+"""Combines what each thread of a group has, by a tree: the first half of the threads take in what the others have, then
+the first quarter, and so on.
 
-One array in the memory of the group for each scalar type serves all that is combined, one component after the other.
+All that is combined goes through one array of the group for each scalar type, one component after the other.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ Component: TypeAlias = tuple[lir.Var, int]
 
 
 class Tree:
-    """Combines values of the ``threads`` of a group, in the open body, which all of them run. One is a group, too."""
+    """What ``threads`` threads do together in the open body, which all of them run. One alone has nothing to combine."""
 
     def __init__(self, build: Builder, threads: int) -> None:
         self._build = build
