@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import CodeType, FrameType, FunctionType
 from typing import Any, overload
 
-from ebb.backends.backend import CheckedKernel, Hints
+from ebb.backends.backend import ANYWHERE, CheckedKernel, Hints
 from ebb.backends.select import current_backend
 from ebb.compiler import kir, kir_print, kir_walk
 from ebb.compiler.arguments import argument_type, check_argument
@@ -26,17 +26,26 @@ from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
 from ebb.compiler.elaborate.source import SourceFunction, find_source
 from ebb.compiler.inputs import Inputs
-from ebb.compiler.launch_errors import ArgumentCount, ArgumentType, NotRows, RowsMismatch, UnknownStage
+from ebb.compiler.launch_errors import (
+    ArgumentCount,
+    ArgumentType,
+    NotRows,
+    RowsMismatch,
+    UnknownStage,
+    checked_block_size,
+)
 from ebb.compiler.phases.check import check_phases
 from ebb.compiler.phases.reach import collect_reaches
 from ebb.compiler.phases.stencil import check_stencil, collect_stencil
 from ebb.compiler.pipeline import run_passes
 from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError, trimmed
 from ebb.launch import Launch, Specialisation
-from ebb.records import field, record
+from ebb.records import field, record, replace
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
 from ebb.types.types import Type
+
+_BLOCK_SIZE = "block_size"
 
 _Function = Callable[..., None]
 _Types = tuple[ParameterType, ...]
@@ -65,9 +74,10 @@ class Kernel:
         functools.update_wrapper(self, function)
         self._name = function.__name__
         self._function = function
-        self._hints = hints
+        self._hints = replace(hints, block_size=checked_block_size(self._name, hints.block_size))
         self._text = text
         self._frame_locals = frame_locals
+        self._sized: dict[int, Kernel] = {}
 
     def __repr__(self) -> str:
         return f"<ebb.kernel {self._name}{self._signature}>"
@@ -78,12 +88,18 @@ class Kernel:
         Args:
             rows: a relation, or a subset of one.
             *parameters: the further parameters of the kernel, in order or by name.
+            **named: those by name; ``block_size=`` is for this launch, if the kernel has no parameter of that name.
 
         Raises:
             EbbError: the kernel is wrong, does not fit the rows or the parameters, or failed for some row.
         """
         try:
-            if not named:
+            if named:
+                meant = self._meant(named)
+                if meant is not self:
+                    meant(rows, *parameters, **named)
+                    return
+            else:
                 # A launch that has run before, if its inputs have the form that it knows. All else goes the long way.
                 for launch in self._known_launches(rows):
                     uniforms = launch.take(parameters)
@@ -103,7 +119,7 @@ class Kernel:
             EbbError: every error of the kernel, at once.
         """
         try:
-            self._find_launch(rows, self._bind(rows, parameters, named))
+            self._meant(named)._launch_of(rows, parameters, named)
         except EbbError as error:
             raise trimmed(error) from error.__cause__
 
@@ -118,10 +134,10 @@ class Kernel:
         """
         from ebb.compiler.explain import explain  # here: few programs ask for it
 
-        launch = self._find_launch(rows, self._bind(rows, parameters, named))
+        launch = self._meant(named)._launch_of(rows, parameters, named)
         checked = launch.specialisation.checked
         how = launch.how()
-        text = explain(checked.kernel, checked.phases, how.reductions, how.order)
+        text = explain(checked.kernel, checked.phases, how.reductions, how.totals, how.order)
         print(text)
         return text
 
@@ -130,18 +146,20 @@ class Kernel:
 
         Args:
             rows: a relation or subset.
-            stage: ``"kir"``; on cpu also ``"lir"``, ``"llvm"`` and ``"asm"``.
+            stage: ``"kir"``, ``"ptx"`` or ``"spirv"``; on compiled backends also ``"lir"`` and ``"llvm"``, on cpu
+                ``"asm"``.
 
         Raises:
             EbbError: as ``check``, or there is no such stage.
         """
-        launch = self._find_launch(rows, self._bind(rows, parameters, named))
+        launch = self._meant(named)._launch_of(rows, parameters, named)
         if stage == "kir":
             return kir_print.text(launch.specialisation.checked.kernel)
         text = launch.inspect(stage)
         if text is None:
             backend = current_backend()
-            raise KernelTypeError(UnknownStage(self._name, stage, backend.name, ("kir", *backend.stages)))
+            stages = dict.fromkeys(("kir", *backend.stages, *ANYWHERE))
+            raise KernelTypeError(UnknownStage(self._name, stage, backend.name, tuple(stages)))
         return text
 
     @functools.cached_property
@@ -161,6 +179,21 @@ class Kernel:
     @functools.cached_property
     def _declared(self) -> tuple[tuple[str, Type | type[str] | None], ...]:
         return tuple(parameter_types(self.source).items())
+
+    def _meant(self, named: dict[str, Any]) -> Kernel:
+        """The kernel with the block size that a call asks for, which is taken out of ``named``; else this kernel."""
+        if _BLOCK_SIZE not in named or _BLOCK_SIZE in self._signature.parameters:
+            return self
+        size = checked_block_size(self._name, named.pop(_BLOCK_SIZE))
+        if size == self._hints.block_size:
+            return self
+        if size not in self._sized:
+            hints = replace(self._hints, block_size=size)
+            self._sized[size] = Kernel(self._function, hints, self._text, self._frame_locals)
+        return self._sized[size]
+
+    def _launch_of(self, rows: Any, parameters: tuple[Any, ...], named: Mapping[str, Any]) -> Launch:
+        return self._find_launch(rows, self._bind(rows, parameters, named))
 
     def _bind(self, rows: Any, parameters: tuple[Any, ...], named: Mapping[str, Any]) -> tuple[Any, ...]:
         """The further parameters in the order of the signature, defaults filled in."""
@@ -276,7 +309,8 @@ def kernel(
 
     Args:
         function: the function; its first parameter is annotated with a relation, or bare and then typed at each launch.
-        block_size: rows a work-group, a hint for GPUs.
+        block_size: rows a work-group on opencl and cuda, from 1 to 1024. A launch may have its own: ``step(cells,
+            block_size=128)``.
         fastmath: allows floats to be reassociated and assumes them finite.
         source: the text that defines the function, for functions whose source Python does not keep.
     """

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any
 
-from ebb.backends.backend import Backend, Bound, CheckedKernel, Executable, How
+from ebb.backends.backend import ANYWHERE, Backend, Bound, CheckedKernel, Executable, How
 from ebb.backends.select import current_backend
 from ebb.compiler.arguments import uniform_values
 from ebb.compiler.elaborate.guards import Guard
@@ -142,10 +142,16 @@ class Launch:
             return self.specialisation.executable(current_backend()).how(self.rows)
 
     def inspect(self, stage: str) -> str | None:
-        """The text of a stage that the current backend has beyond KIR, or None."""
+        """The text of a stage that the current backend, or any, has beyond KIR; None for what is no stage."""
+        specialisation = self.specialisation
         with launching(), suspended():
-            self.specialisation.refresh()
-            return self.specialisation.executable(current_backend()).inspect(stage)
+            specialisation.refresh()
+            text = specialisation.executable(current_backend()).inspect(stage)
+            if text is not None or stage not in ANYWHERE:
+                return text
+            from ebb.backends.devices.stages import text_without_device  # here: few programs ask for it
+
+            return text_without_device(specialisation.checked, stage)
 
     @property
     def is_decided(self) -> bool:

@@ -14,6 +14,10 @@ from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.relations.subset import RowSet
 from ebb.runtime.buffer import Array
+from ebb.runtime.device import Device
+
+ANYWHERE = ("ptx", "spirv")
+"""The stages that ``kernel.inspect`` shows on every backend: to emit them takes no device."""
 
 
 @record
@@ -45,10 +49,12 @@ class How:
 
     Attributes:
         reductions: what is done with reductions into other rows.
+        totals: what is done with reductions into globals.
         order: in which order the rows run.
     """
 
     reductions: str
+    totals: str
     order: str
 
 
@@ -147,6 +153,11 @@ class Backend(Protocol):
     @property
     def stages(self) -> tuple[str, ...]:
         """The stages beyond KIR that its executables can show."""
+        ...
+
+    @property
+    def accelerator(self) -> Device | None:
+        """The device that kernels run on, None where that is the processor."""
         ...
 
     @property

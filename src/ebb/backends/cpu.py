@@ -11,7 +11,7 @@ from ebb.backends.backend import Bound, CheckedKernel, How, Operation
 from ebb.backends.binding import Binding
 from ebb.backends.cache import ObjectCache, cache_directory
 from ebb.backends.compile import assembly_text, check_private_bytes, llvm_text, object_code, replay_code
-from ebb.backends.kernel_code import Bindings, KernelCode, Lowering, NoRows
+from ebb.backends.kernel_code import Bindings, KernelCode, Lowering, NoRows, precision_of, step_of
 from ebb.backends.replay import Replay
 from ebb.backends.target import Target, host
 from ebb.backends.tiles import block_starts
@@ -19,7 +19,7 @@ from ebb.compiler import lir, lir_print
 from ebb.compiler.kir_walk import draws
 from ebb.compiler.lower import variable_bytes
 from ebb.compiler.phases.order import InOrder, why_in_order
-from ebb.compiler.scatter.choose import ANY_ORDER, ATOMICALLY, ROW_AFTER_ROW, Plan, Planner, Run
+from ebb.compiler.scatter.choose import ANY_ORDER, ATOMICALLY, BLOCK_TOTALS, ROW_AFTER_ROW, Plan, Planner, Run
 from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.waves import in_order
 from ebb.errors import BackendError
@@ -55,6 +55,7 @@ class CpuBackend:
     updates: lir.Updates = lir.Updates.PLAIN
     name: str = "cpu"
     stages: tuple[str, ...] = tuple(_STAGES)
+    accelerator: None = None
 
     def prepare(self, checked: CheckedKernel) -> CpuExecutable:
         """The kernel, to be compiled when it is launched: only then is it known what the code depends on.
@@ -108,10 +109,9 @@ class CpuExecutable:
     def __init__(self, checked: CheckedKernel, backend: CpuBackend) -> None:
         self._checked = checked
         self._backend = backend
-        self._step = Step(checked.kernel, checked.phases, tuple(access.node for access in checked.stencil))
+        self._step = step_of(checked)
         self._in_order = why_in_order(checked.kernel, checked.phases)
-        precision = lir.Precision.FAST if checked.hints.fastmath else lir.Precision.CONTRACT
-        self._lowering = Lowering(precision, backend.updates)
+        self._lowering = Lowering(precision_of(checked.hints), backend.updates)
         self._codes: dict[Step, KernelCode[CpuCode, Binding]] = {}
         self._planners: dict[RowSet, Planner] = {}
 
@@ -139,13 +139,13 @@ class CpuExecutable:
         """What a launch on ``rows``, which are some, runs and in which order."""
         match self._in_order:
             case None:
-                return Plan((Run(self._step, rows, None),), "", ANY_ORDER, ())
+                return Plan((Run(self._step, rows, None),), "", None, ())
             case InOrder.PRINTS:
                 waves = in_order(len(block_starts(rows)) - 1)
                 order = f"one after the other, {InOrder.PRINTS.value}"
                 return Plan((Run(self._step, rows, waves),), ROW_AFTER_ROW, order, ())
             case InOrder.SHARED_SUMS if self._backend.updates is lir.Updates.ATOMIC:
-                return Plan((Run(self._step, rows, None),), ATOMICALLY, ANY_ORDER, ())
+                return Plan((Run(self._step, rows, None),), ATOMICALLY, None, ())
             case InOrder.SHARED_SUMS:
                 planner = self._planners.get(rows)
                 if planner is None:
@@ -155,9 +155,9 @@ class CpuExecutable:
     def how(self, rows: RowSet) -> How:
         """How a launch on ``rows`` does its reductions into other rows, and in which order the rows run."""
         if rows.size == 0:
-            return How(ROW_AFTER_ROW, ANY_ORDER)
+            return How(ROW_AFTER_ROW, BLOCK_TOTALS, ANY_ORDER)
         plan = self.plan(rows)
-        return How(plan.how, plan.order)
+        return How(plan.how, BLOCK_TOTALS, plan.order or ANY_ORDER)
 
     def inspect(self, stage: str) -> str | None:
         """The text of the stage ``lir``, ``llvm`` or ``asm`` for a launch on all rows; None for any other."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
-from ebb.backends.backend import Bound
+from ebb.backends.backend import Bound, CheckedKernel, Hints
 from ebb.compiler import lir
 from ebb.compiler.lower import Launched, lower, sources_of
 from ebb.compiler.lower.facts import Facts, State
@@ -34,8 +34,9 @@ class Lowering:
 
     def lower(self, step: Step, facts: Facts, launched: Launched) -> lir.Program:
         """The program of ``step`` for data of which ``facts`` hold and rows that are given as ``launched``."""
-        more = () if self.group_size is None else (self.group_size,)
-        return lower(step.kernel, step.phases, step.unchecked, facts, launched, self.precision, self.updates, *more)
+        return lower(
+            step.kernel, step.phases, step.unchecked, facts, launched, self.precision, self.updates, self.group_size
+        )
 
 
 class KernelCode(Generic[_Code, _Binding]):
@@ -132,3 +133,13 @@ def launched_as(rows: RowSet) -> Launched:
     if rows.boxes is not None:
         return Launched.BOXES
     return Launched.ALL if rows.row_positions() is None else Launched.LISTED
+
+
+def step_of(checked: CheckedKernel) -> Step:
+    """The kernel as it was written, in one step."""
+    return Step(checked.kernel, checked.phases, tuple(access.node for access in checked.stencil))
+
+
+def precision_of(hints: Hints) -> lir.Precision:
+    """What the optimiser may do to floats."""
+    return lir.Precision.FAST if hints.fastmath else lir.Precision.CONTRACT

@@ -11,6 +11,7 @@ from ebb.backends.backend import Backend
 from ebb.backends.cpu import cpu_backend
 from ebb.errors import BackendError
 from ebb.records import record
+from ebb.runtime.device import use_device
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
 from ebb.runtime.recording import refuse
@@ -22,10 +23,24 @@ def _reference_backend() -> Backend:
     return reference_backend()
 
 
+def _opencl_backend(device: Any = None, deterministic: Any = False, reorder: Any = True) -> Backend:
+    from ebb.backends.devices.select import opencl_backend  # here: not every machine has such a device
+
+    return opencl_backend(device, deterministic, reorder)
+
+
+def _cuda_backend(device: Any = 0, deterministic: Any = False, reorder: Any = True) -> Backend:
+    from ebb.backends.devices.select import cuda_backend
+
+    return cuda_backend(device, deterministic, reorder)
+
+
 #: How to make each backend, and the options that it takes.
 BACKENDS: Mapping[str, tuple[Callable[..., Backend], tuple[str, ...]]] = {
     "cpu": (cpu_backend, ("threads", "reorder", "atomics")),
     "reference": (_reference_backend, ()),
+    "opencl": (_opencl_backend, ("device", "deterministic", "reorder")),
+    "cuda": (_cuda_backend, ("device", "deterministic", "reorder")),
 }
 
 
@@ -43,17 +58,18 @@ def set_backend(name: str, **options: Any) -> None:
     """Makes all kernels run on the backend ``name`` from now on.
 
     Args:
-        name: ``"cpu"`` or ``"reference"``.
-        **options: for cpu ``threads=``, the number of threads, ``EBB_NUM_THREADS`` or all cores by default;
-            ``reorder=False``, so that launches leave the rows of relations where they are; and ``atomics=True``, so
-            that reductions into other rows are atomic updates: then the bits of sums depend on the threads.
+        name: ``"cpu"``, ``"reference"``, ``"opencl"`` or ``"cuda"``.
+        **options: all but reference take ``reorder=False``, so that launches leave the rows of relations where they
+            are. For cpu ``threads=`` is the number of threads, ``EBB_NUM_THREADS`` or all cores by default; with
+            ``atomics=True`` reductions into other rows are atomic updates: then the bits of sums depend on the threads.
+            For opencl and cuda ``device=`` is one of the devices that ``ebb info`` lists, by its number, or for opencl
+            by a part of its name; with ``deterministic=True`` sums in other rows have the same bits at each run.
 
     Raises:
         BackendError: there is no such backend, it does not take an option, or this machine lacks what it needs.
     """
     refuse("choosing a backend", "choose it before the with statement, or before the step runs")
-    _selection.backend = _make_backend(name, options)
-    structure_changed()
+    _select(_make_backend(name, options))
 
 
 @contextmanager
@@ -65,13 +81,11 @@ def backend(name: str, **options: Any) -> Generator[None, None, None]:
     """
     refuse("choosing a backend", "choose it before the with statement, or before the step runs")
     chosen, before = _make_backend(name, options), _selection.backend
-    _selection.backend = chosen
-    structure_changed()
+    _select(chosen)
     try:
         yield
     finally:
-        _selection.backend = before
-        structure_changed()
+        _select(before)
 
 
 def current_backend() -> Backend:
@@ -80,9 +94,18 @@ def current_backend() -> Backend:
     Raises:
         BackendError: ``EBB_BACKEND`` names no backend.
     """
-    if _selection.backend is None:
-        _selection.backend = _make_backend(os.environ.get("EBB_BACKEND") or "cpu", {})
-    return _selection.backend
+    chosen = _selection.backend
+    if chosen is None:
+        chosen = _make_backend(os.environ.get("EBB_BACKEND") or "cpu", {})
+        _select(chosen)
+    return chosen
+
+
+def _select(backend: Backend | None) -> None:
+    """Makes ``backend`` the current one; None: what is current is decided when it is first needed."""
+    _selection.backend = backend
+    use_device(None if backend is None else backend.accelerator)
+    structure_changed()
 
 
 def _make_backend(name: str, options: Mapping[str, Any]) -> Backend:

@@ -17,19 +17,20 @@ from ebb.relations.globals import Global
 from ebb.relations.relation import Relation
 
 
-def explain(kernel: kir.Kernel, phases: PhaseTable, scattered: str, order: str) -> str:
+def explain(kernel: kir.Kernel, phases: PhaseTable, scattered: str, totals: str, order: str) -> str:
     """How ``kernel`` runs on the data that its relations hold now.
 
     Args:
         kernel: a kernel after the passes.
         phases: of its fields and globals.
         scattered: how the backend does reductions into other rows.
+        totals: how it does those into globals.
         order: in which order it runs the rows.
     """
     sections = (
         ("fields", _columns(_field_row(field, phase) for field, phase in phases.fields.items())),
         ("globals", _columns(_global_rows(kernel, phases))),
-        ("reductions", _columns(_reduction_rows(kernel, phases, scattered))),
+        ("reductions", _columns(_reduction_rows(kernel, phases, scattered, totals))),
         ("queries", [_query_line(index) for index in queried_fields(kernel)]),
         ("stencil", _columns(_stencil_row(access) for access in collect_stencil(kernel))),
         ("order of rows", [order]),
@@ -74,7 +75,7 @@ def _global_text(spans: Sequence[Span]) -> str:
     return next((span.text for span in spans), "unused")
 
 
-def _reduction_rows(kernel: kir.Kernel, phases: PhaseTable, scattered: str) -> Iterator[tuple[str, ...]]:
+def _reduction_rows(kernel: kir.Kernel, phases: PhaseTable, scattered: str, totals: str) -> Iterator[tuple[str, ...]]:
     """One row for each reduced field and global: what is reduced, where, and how it is done."""
     found: dict[tuple[Field | Global, str], list[Span]] = {}
     for stmt in statements(kernel.body):
@@ -86,12 +87,12 @@ def _reduction_rows(kernel: kir.Kernel, phases: PhaseTable, scattered: str) -> I
     for (place, op), spans in found.items():
         lines = ", ".join(map(str, sorted({_kernel_line(span) for span in spans})))
         name = place.path if isinstance(place, Field) else _global_text(spans)
-        yield f"{name} {op}", f"line {lines}", _strategy(place, phases, scattered)
+        yield f"{name} {op}", f"line {lines}", _strategy(place, phases, scattered, totals)
 
 
-def _strategy(place: Field | Global, phases: PhaseTable, scattered: str) -> str:
+def _strategy(place: Field | Global, phases: PhaseTable, scattered: str, totals: str) -> str:
     if isinstance(place, Global):
-        return "one partial result a block of rows, combined in the order of the blocks"
+        return totals
     if phases.fields[place].kind is PhaseKind.REDUCE:
         return scattered
     return "own row: no other row touches it"

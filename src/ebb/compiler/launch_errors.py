@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any, ClassVar
 
+import numpy as np
+
+from ebb.compiler.lir import MOST_THREADS
 from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.diagnostics.nearest import nearest
+from ebb.errors import KernelTypeError
 from ebb.records import record
 from ebb.relations.field import Field
 from ebb.types.types import KeyType, Type
@@ -130,6 +135,42 @@ class UnknownStage(Diagnostic):
     def hints(self) -> tuple[str, ...]:
         close = nearest(str(self.stage), self.stages)
         return (f"did you mean '{close}'?",) if close else (f"ask for one of {', '.join(self.stages)}",)
+
+
+@record
+class BadBlockSize(Diagnostic):
+    """The rows of a work-group are no whole number in range."""
+
+    code: ClassVar[str] = "E266"
+    kernel: str
+    value: Any
+
+    @property
+    def title(self) -> str:
+        return f"kernel '{self.kernel}' cannot run in work-groups of {_shown(self.value)} rows"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (f"block_size is a whole number from 1 to {MOST_THREADS}; on cpu and reference it changes nothing",)
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("leave it out, or choose a multiple of 32",)
+
+
+def checked_block_size(kernel: str, value: Any) -> int:
+    """``value`` as the rows of a work-group.
+
+    Raises:
+        KernelTypeError: it is no whole number, or none that devices have so many threads for.
+    """
+    try:
+        size = operator.index(value)
+    except TypeError:
+        size = 0
+    if isinstance(value, bool | np.bool_) or not 1 <= size <= MOST_THREADS:
+        raise KernelTypeError(BadBlockSize(kernel, value))
+    return size
 
 
 def _shown(value: Any) -> str:

@@ -8,9 +8,6 @@ from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.diagnostics.nearest import nearest
 from ebb.records import record
 
-_LATER = ("opencl", "cuda")
-"""Backends that the contract names and this version does not have."""
-
 
 @record
 class UnknownBackend(Diagnostic):
@@ -26,8 +23,7 @@ class UnknownBackend(Diagnostic):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        later = (f"the language is made for '{self.name}' too, but this version has no such device",)
-        return (f"there are {', '.join(self.known)}", *(later if self.name in _LATER else ()))
+        return (f"there are {', '.join(self.known)}",)
 
     @property
     def hints(self) -> tuple[str, ...]:

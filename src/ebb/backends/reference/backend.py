@@ -11,9 +11,11 @@ import numpy as np
 from ebb.backends.backend import CheckedKernel, How, Operation
 from ebb.backends.reference.interpreter import run
 from ebb.compiler import kir
+from ebb.compiler.phases.table import PhaseTable
 from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.subset import RowSet
+from ebb.runtime.buffer import host_code_uses
 
 
 @record(eq=False)
@@ -36,16 +38,25 @@ class ReferenceExecutable:
     """A kernel as the interpreter takes it, which is as it is."""
 
     kernel: kir.Kernel
+    phases: PhaseTable
 
     def bind(self, rows: RowSet, changing: AbstractSet[Field] = frozenset()) -> ReferenceBound:
-        """The kernel on ``rows``, whatever changes."""
+        """The kernel on ``rows``, whatever changes. What it writes is then no device's any more."""
         del changing
+        fields, globals_ = self.phases.fields.items(), self.phases.globals.items()
+        written = [field.buffer for field, phase in fields if phase.changed]
+        written += [globl.buffer for globl, phase in globals_ if phase.reduced]
+        host_code_uses(written, written)
         return ReferenceBound(self.kernel, rows)
 
     def how(self, rows: RowSet) -> How:
         """One row after the other."""
         del rows
-        return How("into other rows: row after row in storage order", "one after the other, in storage order")
+        return How(
+            reductions="into other rows: row after row in storage order",
+            totals="row after row",
+            order="one after the other, in storage order",
+        )
 
     def inspect(self, stage: str) -> str | None:
         """None: there is no stage beyond KIR."""
@@ -59,11 +70,12 @@ class ReferenceBackend:
 
     name: str = "reference"
     stages: tuple[str, ...] = ()
+    accelerator: None = None
     reorders: bool = False
 
     def prepare(self, checked: CheckedKernel) -> ReferenceExecutable:
         """The kernel is run as it is."""
-        return ReferenceExecutable(checked.kernel)
+        return ReferenceExecutable(checked.kernel, checked.phases)
 
     def replay(self, operations: Sequence[Operation]) -> None:
         """None: there is nothing but Python here."""

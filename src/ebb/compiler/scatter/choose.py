@@ -1,8 +1,9 @@
 """How reductions into other rows are done: in colours, gathered, staged, or in row order on one thread.
 
-Every way is a function of the program and its data alone, never of the number of threads, and so are the bits of the
-results. The model judges each way by the time that a row takes, shared by ``waves.WIDTH`` threads: the bytes and
-operations of ``cost_of``, weighted.
+Devices know no colours: they run so many threads that waves would leave most of them idle. Every way is a function of
+the program and its data alone, never of the number of threads, and so are the bits of the results. The model judges
+each way by the time that a row takes, shared by ``waves.WIDTH`` threads: the bytes and operations of ``cost_of``,
+weighted.
 """
 
 from __future__ import annotations
@@ -42,6 +43,9 @@ ROW_AFTER_ROW = "into other rows: row after row in storage order, on one thread"
 
 ATOMICALLY = "into other rows, atomically, in any order: the bits depend on the threads"
 
+BLOCK_TOTALS = "one partial result a block of rows, combined in the order of the blocks"
+"""What is done with reductions into globals on a processor."""
+
 CLEAR = 1.25
 """How much quicker than in row order, on ``WIDTH`` threads, a way must be to be taken."""
 
@@ -56,9 +60,9 @@ class Way(Enum):
 
 
 def quickest(times: Mapping[Way, float]) -> Way:
-    """The way that takes the least time, by the model; row order where that is hardly slower."""
+    """The way that takes the least time, by the model; row order, if it is one of them, where that is hardly slower."""
     best = min(times, key=lambda way: times[way])
-    return Way.IN_ORDER if times[Way.IN_ORDER] < CLEAR * times[best] else best
+    return Way.IN_ORDER if Way.IN_ORDER in times and times[Way.IN_ORDER] < CLEAR * times[best] else best
 
 
 @record(eq=False)
@@ -77,14 +81,14 @@ class Plan:
     Attributes:
         runs: the kernels and their rows.
         how: how the reductions are done, for ``explain``.
-        order: in which order the rows run, for ``explain``.
+        order: in which order the rows run, for ``explain``; None for any.
         read: the key fields on whose values the plan depends.
         settled: whether it stands until these change; else it is only for the next launch.
     """
 
     runs: tuple[Run, ...]
     how: str
-    order: str
+    order: str | None
     read: tuple[Field, ...]
     settled: bool = True
 
@@ -92,8 +96,15 @@ class Plan:
 class Planner:
     """Plans the launches of one kernel on one set of rows, and keeps what belongs to each way."""
 
-    def __init__(self, step: Step, rows: RowSet, starts: Callable[[], Array]) -> None:
-        """``starts`` gives the number in the launch of the first row of each block, and the number of rows."""
+    def __init__(self, step: Step, rows: RowSet, starts: Callable[[], Array] | None) -> None:
+        """Nothing is planned yet.
+
+        Args:
+            step: the kernel.
+            rows: what it runs on.
+            starts: gives the number in the launch of the first row of each block, and the number of rows; None on a
+                device, where threads take rows, not blocks: there are no colours, and row order is the last resort.
+        """
         self._starts = starts
         self._step = step
         self._rows = rows
@@ -130,7 +141,7 @@ class Planner:
     def plan_in_order(self, why: str, read: tuple[Field, ...] = ()) -> Plan:
         """Row after row on one thread, for the reason ``why``; ``read`` is that of the plan."""
         order = f"one after the other, so that sums in other rows do not depend on the threads: {why}"
-        waves = in_order(len(self._starts()) - 1)
+        waves = None if self._starts is None else in_order(len(self._starts()) - 1)
         return Plan((Run(self._step, self._rows, waves),), ROW_AFTER_ROW, order, read)
 
     def _state(self) -> object:
@@ -150,7 +161,7 @@ class Planner:
 
     def _make(self) -> Plan:
         step, rows = self._step, self._rows
-        if rows.size < FEW_BLOCKS * BLOCK_ROWS:
+        if self._starts is not None and rows.size < FEW_BLOCKS * BLOCK_ROWS:
             return self.plan_in_order(f"fewer than {FEW_BLOCKS} blocks of {BLOCK_ROWS:,} rows")
         again = self._may_gather()
         # Of every route, before anything is listed by position: a grouping that is refreshed may move rows.
@@ -159,8 +170,10 @@ class Planner:
         touches = find_touched(step.kernel, step.phases, rows)
         if isinstance(touches, NotStatic):
             return self.plan_in_order(f"the places depend on {touches.why}")
-        waves = colour(touches.places, self._starts())
-        times = {Way.IN_ORDER: self._time(step, rows) * WIDTH}
+        waves, times = None, dict[Way, float]()
+        if self._starts is not None:
+            waves = colour(touches.places, self._starts())
+            times[Way.IN_ORDER] = self._time(step, rows) * WIDTH
         if waves is not None:
             times[Way.COLOURS] = self._time(step, rows) / efficiency(waves)
         if again is not None:
@@ -169,6 +182,8 @@ class Planner:
         if parts is not None:
             self._stages = self._stages or self._make_stages(parts)
             times[Way.STAGE] = self._stage_time(self._stages)
+        if not times:
+            return self.plan_in_order("the values can neither be computed again nor staged", touches.read)
         way = quickest(times)
         if way is not Way.STAGE:
             self._stages = None  # they were made to be weighed, and hold memory
@@ -268,7 +283,7 @@ class Planner:
 
     def _gather_plan(self, routes: Routes, indexes: Mapping[Route, Field], how: str, read: tuple[Field, ...]) -> Plan:
         steps = self._gather_steps(routes, indexes)
-        return Plan(tuple(Run(step, self._rows_of(step), None) for step in steps), how, ANY_ORDER, read)
+        return Plan(tuple(Run(step, self._rows_of(step), None) for step in steps), how, None, read)
 
     # ---- Stages ----
 
@@ -287,7 +302,7 @@ class Planner:
         for each in stages:
             each.refresh(touches.places, own)
         how = "into other rows, staged: each row writes what it gives, and each target gathers it"
-        return Plan(tuple(Run(step, self._rows_of(step), None) for step in steps), how, ANY_ORDER, touches.read)
+        return Plan(tuple(Run(step, self._rows_of(step), None) for step in steps), how, None, touches.read)
 
     # ---- Costs ----
 

@@ -1,0 +1,232 @@
+"""A compiled kernel bound to a set of rows on a device: what a repeated launch runs.
+
+The arguments of the kernels are a list that is made once. A launch copies it, puts in the memory of the fields, which
+swaps exchange, and the uniforms, and queues one launch of the device for each box of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from ebb.backends.devices.failures import FailureRecords, PrintMemory
+from ebb.backends.sources import Index, constant_value, index_array, random_word
+from ebb.compiler import lir
+from ebb.compiler.lower import error_at
+from ebb.compiler.phases.residency import overwritten
+from ebb.compiler.scatter.step import Step
+from ebb.errors import EbbError
+from ebb.records import record
+from ebb.relations.field import Field
+from ebb.relations.globals import Global
+from ebb.relations.subset import RowSet
+from ebb.runtime import random
+from ebb.runtime.copies import constant_on
+from ebb.runtime.device import Device, Entry, KernelArgument
+
+_FAILURES, _FIRST_BLOCK, _BOUNDS = range(3)
+"""Where the parameters of kernels begin; behind the bounds, two a dimension, come the slots and the arguments."""
+
+
+@record
+class _Part:
+    """Rows that one launch of the device runs on.
+
+    Attributes:
+        groups: how many work-groups that takes.
+        words: the arguments that say so: the number of the first group, and the bounds of the rows.
+    """
+
+    groups: int
+    words: tuple[np.int64, ...]
+
+
+class _Scalar:
+    """An argument: takes any number of its kind, and gives it in the type of the parameter."""
+
+    __slots__ = ("_taken", "_written", "place")
+
+    def __init__(self, place: int, dtype: np.dtype[Any]) -> None:
+        cell = np.zeros(1, dtype=dtype)
+        self.place = place
+        self._written: Any = memoryview(cell)  # pyright: ignore[reportArgumentType] - NumPy's stubs have no __buffer__
+        self._taken = cell.view(np.uint8) if dtype == np.bool_ else cell
+
+    def put(self, arguments: list[Any], value: Any) -> None:
+        """Puts ``value`` in its place. Floats beyond the range of the type are infinite."""
+        self._written[0] = value
+        arguments[self.place] = self._taken[0]
+
+
+class DeviceBinding:
+    """A program, its kernels, and their arguments for launches on one set of rows."""
+
+    def __init__(
+        self,
+        step: Step,
+        program: lir.Program,
+        entries: tuple[Entry, ...],
+        device: Device,
+        failures: FailureRecords,
+        rows: RowSet,
+    ) -> None:
+        self._kernel = step.kernel
+        self._program = program
+        self._rows = rows
+        self._device = device
+        self._failures = failures
+        self._entry = entries[0]
+        self._finish = entries[1] if len(entries) > 1 else None
+        assert program.group_size is not None
+        self._group_size = program.group_size
+        self._parts = _parts(program, rows)
+        self._groups = sum(part.groups for part in self._parts)
+        self._slots = _BOUNDS + 2 * program.dimensions
+        count = self._slots + len(program.slots) + len(program.arguments)
+        self._arguments: list[Any] = [None] * count
+        self._arguments[_FAILURES] = failures.memory
+        every_row = rows.size == rows.relation.size and not program.sites
+        self._unread = overwritten(step.kernel, step.phases) if every_row else frozenset[Field]()
+        self._uses: list[tuple[int, Field | Global, bool]] = []
+        self._changes: list[Field | Global] = []
+        self._rewrites: list[Field] = []
+        self._indexes: list[tuple[int, Index]] = []
+        self._numbers: list[tuple[_Scalar, int]] = []
+        self._components: list[tuple[_Scalar, int, int]] = []
+        self._random: list[tuple[_Scalar, lir.RandomWord]] = []
+        self._prints: PrintMemory | None = None
+        for slot in program.slots:
+            self._bind_slot(slot)
+        for argument in program.arguments:
+            self._bind_argument(argument)
+
+    def settle(self) -> None:
+        """Puts the indexes in place, which are others after a change of the structure.
+
+        Raises:
+            BackendError: the device has no room for them.
+        """
+        for place, index in self._indexes:
+            self._arguments[place] = constant_on(self._device, index_array(index, self._rows))
+
+    def run(self, uniforms: Sequence[Any]) -> None:
+        """Queues the kernel once, and waits for it if it can fail or prints. The caller holds ``launching()``.
+
+        Raises:
+            BackendError: the device has no room for the fields; then nothing has run.
+            EbbError: an assertion or a check of the kernel failed for some row.
+        """
+        device = self._device
+        arguments = self._arguments.copy()
+        for place, used, unread in self._uses:
+            arguments[place] = used.buffer.on(device, unread)
+        for scalar, uniform in self._numbers:
+            scalar.put(arguments, uniforms[uniform])
+        for scalar, uniform, component in self._components:
+            scalar.put(arguments, uniforms[uniform].flat[component])
+        if self._random:
+            key = random.next_launch()
+            for scalar, word in self._random:
+                scalar.put(arguments, random_word(word, key))
+        # What the device has is up to date, so that this is true whether the launch comes about or is interrupted;
+        # what it does not have, since all of it will be written, is only valid once that has been queued.
+        for changed in self._changes:
+            changed.buffer.changed_on(device)
+        failure = self._launch(arguments)
+        for rewritten in self._rewrites:
+            rewritten.buffer.changed_on(device)
+        if failure is not None or self._prints is not None:
+            self._report(failure)
+
+    def _launch(self, arguments: list[KernelArgument]) -> tuple[EbbError, int] | None:
+        """Queues the kernels; if they can fail, waits, and gives the error and the position of the row."""
+        launch, size, can_fail = self._device.launch, self._group_size, bool(self._program.sites)
+        if self._prints is not None:
+            self._prints.prepare()
+        for part in self._parts:
+            arguments[_FIRST_BLOCK : self._slots] = part.words
+            if can_fail:
+                self._failures.prepare()
+            launch(self._entry, part.groups, size, arguments)
+            if can_fail:
+                failure = self._failures.take()
+                if failure is not None:
+                    site, position, payload = failure
+                    return error_at(self._program.sites[site], self._kernel, position, payload), position
+        if self._finish is not None:
+            launch(self._finish, 1, size, arguments)
+        return None
+
+    def _report(self, failure: tuple[EbbError, int] | None) -> None:
+        if self._prints is not None:
+            self._prints.flush(None if failure is None else failure[1])
+        if failure is not None:
+            raise failure[0]
+
+    # ---- What is bound once ----
+
+    def _bind_slot(self, slot: lir.Slot) -> None:
+        place = self._slots + slot.number
+        match slot.binding:
+            case lir.FieldData(field):
+                unread = field in self._unread
+                self._uses.append((place, field, unread))
+                if unread:
+                    self._rewrites.append(field)
+                elif slot.access is lir.Access.WRITE:
+                    self._changes.append(field)
+            case lir.GlobalData(globl):
+                self._uses.append((place, globl, False))
+                if slot.access is lir.Access.WRITE:
+                    self._changes.append(globl)
+            case lir.Partials(_, sum_):
+                nbytes = self._groups * sum_.size * slot.type.dtype.itemsize
+                self._arguments[place] = self._device.allocate(nbytes)
+            case lir.PrintRecords():
+                self._prints = PrintMemory(self._kernel, self._program, self._device)
+                self._arguments[place] = self._prints.memory
+            case index:
+                self._indexes.append((place, index))
+
+    def _bind_argument(self, argument: lir.Argument) -> None:
+        place = self._slots + len(self._program.slots) + argument.number
+        scalar = _Scalar(place, argument.type.dtype)
+        match argument.binding:
+            case lir.RandomWord():
+                self._random.append((scalar, argument.binding))
+            case lir.UniformComponent(uniform, component):
+                if self._kernel.uniforms[uniform].type.shape:
+                    self._components.append((scalar, uniform, component))
+                else:
+                    self._numbers.append((scalar, uniform))
+            case constant:
+                scalar.put(self._arguments, constant_value(constant, self._groups))
+
+
+def _parts(program: lir.Program, rows: RowSet) -> list[_Part]:
+    """The launches that it takes to run ``program`` on ``rows``: one for each box."""
+    if program.space is lir.Space.LINE:
+        return [_part(program, 0, (0,), (rows.size,))]
+    parts: list[_Part] = []
+    for box in rows.boxes or ():
+        if box.size:
+            parts.append(_part(program, sum(part.groups for part in parts), box.start, box.stop))
+    return parts
+
+
+def _part(program: lir.Program, first: int, low: tuple[int, ...], high: tuple[int, ...]) -> _Part:
+    size = prod(stop - start for start, stop in zip(low, high, strict=True))
+    bounds = [bound for pair in zip(low, high, strict=True) for bound in pair]
+    return _Part(_groups(program, size), tuple(map(np.int64, (first, *bounds))))
+
+
+def _groups(program: lir.Program, size: int) -> int:
+    """How many work-groups run ``size`` rows."""
+    assert program.group_size is not None
+    if program.in_order:
+        return 1
+    groups = -(-size // program.group_size)
+    return groups if program.coverage is lir.Coverage.ONE else min(groups, lir.MOST_GROUPS)

@@ -1,0 +1,34 @@
+"""Programs for devices as text, with or without such a device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from ebb.backends.backend import CheckedKernel
+from ebb.backends.compile import assembly_text, llvm_text
+from ebb.backends.kernel_code import Lowering, launched_as, precision_of, step_of
+from ebb.backends.target import Target, nvptx, spirv
+from ebb.compiler import lir, lir_print
+from ebb.compiler.lower import facts_of
+
+STAGES: Mapping[str, Callable[[lir.Program, Target], str]] = {
+    "lir": lambda program, _: lir_print.text(program),
+    "llvm": llvm_text,
+    "spirv": assembly_text,
+    "ptx": assembly_text,
+}
+
+_CAPABILITY = 80
+"""What ``ptx`` is for where there is no device to ask."""
+
+
+def text_without_device(checked: CheckedKernel, stage: str) -> str:
+    """The stage ``ptx`` or ``spirv`` of a kernel for a launch on all rows, whatever the backend is.
+
+    Raises:
+        BackendError: what it takes to compile for such a device is not installed.
+    """
+    kernel = checked.kernel
+    lowering = Lowering(precision_of(checked.hints), lir.Updates.ATOMIC, checked.hints.block_size)
+    program = lowering.lower(step_of(checked), facts_of(kernel), launched_as(kernel.relation))
+    return STAGES[stage](program, spirv() if stage == "spirv" else nvptx(_CAPABILITY))
