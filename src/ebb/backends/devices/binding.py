@@ -7,12 +7,12 @@ swaps exchange, and the uniforms, and queues one launch of the device for each b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import prod
 from typing import Any
 
 import numpy as np
 
 from ebb.backends.devices.failures import FailureRecords, PrintMemory
+from ebb.backends.llvm.group import FAILURES, FIRST_BLOCK, parameters
 from ebb.backends.sources import Index, constant_value, index_array, random_word
 from ebb.compiler import lir
 from ebb.compiler.lower import error_at
@@ -22,13 +22,10 @@ from ebb.errors import EbbError
 from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
-from ebb.relations.subset import RowSet
+from ebb.relations.subset import Box, RowSet
 from ebb.runtime import random
 from ebb.runtime.copies import constant_on
 from ebb.runtime.device import Device, Entry, KernelArgument
-
-_FAILURES, _FIRST_BLOCK, _BOUNDS = range(3)
-"""Where the parameters of kernels begin; behind the bounds, two a dimension, come the slots and the arguments."""
 
 
 @record
@@ -37,7 +34,7 @@ class _Part:
 
     Attributes:
         groups: how many work-groups that takes.
-        words: the arguments that say so: the number of the first group, and the bounds of the rows.
+        words: the arguments that say which: from ``FIRST_BLOCK`` on, up to the slots.
     """
 
     groups: int
@@ -82,12 +79,13 @@ class DeviceBinding:
         self._finish = entries[1] if len(entries) > 1 else None
         assert program.group_size is not None
         self._group_size = program.group_size
+        self._places = {name: place for place, (name, _) in enumerate(parameters(program))}
+        self._arguments: list[Any] = [None] * len(self._places)
+        self._arguments[self._places[FAILURES]] = failures.memory
         self._parts = _parts(program, rows)
         self._groups = sum(part.groups for part in self._parts)
-        self._slots = _BOUNDS + 2 * program.dimensions
-        count = self._slots + len(program.slots) + len(program.arguments)
-        self._arguments: list[Any] = [None] * count
-        self._arguments[_FAILURES] = failures.memory
+        first = self._places[FIRST_BLOCK]
+        self._bounds = slice(first, first + len(self._parts[0].words))
         every_row = rows.size == rows.relation.size and not program.sites
         self._unread = overwritten(step.kernel, step.phases) if every_row else frozenset[Field]()
         self._uses: list[tuple[int, Field | Global, bool]] = []
@@ -143,19 +141,18 @@ class DeviceBinding:
 
     def _launch(self, arguments: list[KernelArgument]) -> tuple[EbbError, int] | None:
         """Queues the kernels; if they can fail, waits, and gives the error and the position of the row."""
-        launch, size, can_fail = self._device.launch, self._group_size, bool(self._program.sites)
+        launch, size, sites = self._device.launch, self._group_size, self._program.sites
+        if sites:
+            self._failures.prepare()
         if self._prints is not None:
             self._prints.prepare()
         for part in self._parts:
-            arguments[_FIRST_BLOCK : self._slots] = part.words
-            if can_fail:
-                self._failures.prepare()
+            arguments[self._bounds] = part.words
             launch(self._entry, part.groups, size, arguments)
-            if can_fail:
-                failure = self._failures.take()
-                if failure is not None:
-                    site, position, payload = failure
-                    return error_at(self._program.sites[site], self._kernel, position, payload), position
+        failure = self._failures.take() if sites else None
+        if failure is not None:
+            site, position, payload = failure
+            return error_at(sites[site], self._kernel, position, payload), position
         if self._finish is not None:
             launch(self._finish, 1, size, arguments)
         return None
@@ -169,7 +166,7 @@ class DeviceBinding:
     # ---- What is bound once ----
 
     def _bind_slot(self, slot: lir.Slot) -> None:
-        place = self._slots + slot.number
+        place = self._places[f"slot{slot.number}"]
         match slot.binding:
             case lir.FieldData(field):
                 unread = field in self._unread
@@ -192,8 +189,7 @@ class DeviceBinding:
                 self._indexes.append((place, index))
 
     def _bind_argument(self, argument: lir.Argument) -> None:
-        place = self._slots + len(self._program.slots) + argument.number
-        scalar = _Scalar(place, argument.type.dtype)
+        scalar = _Scalar(self._places[f"argument{argument.number}"], argument.type.dtype)
         match argument.binding:
             case lir.RandomWord():
                 self._random.append((scalar, argument.binding))
@@ -209,18 +205,17 @@ class DeviceBinding:
 def _parts(program: lir.Program, rows: RowSet) -> list[_Part]:
     """The launches that it takes to run ``program`` on ``rows``: one for each box."""
     if program.space is lir.Space.LINE:
-        return [_part(program, 0, (0,), (rows.size,))]
+        boxes = (Box((0,), (rows.size,)),)
+    else:
+        boxes = tuple(box for box in rows.boxes or () if box.size)
     parts: list[_Part] = []
-    for box in rows.boxes or ():
-        if box.size:
-            parts.append(_part(program, sum(part.groups for part in parts), box.start, box.stop))
+    first_block = first_row = 0
+    for box in boxes:
+        bounds = [bound for pair in zip(box.start, box.stop, strict=True) for bound in pair]
+        parts.append(_Part(_groups(program, box.size), tuple(map(np.int64, (first_block, first_row, *bounds)))))
+        first_block += parts[-1].groups
+        first_row += box.size
     return parts
-
-
-def _part(program: lir.Program, first: int, low: tuple[int, ...], high: tuple[int, ...]) -> _Part:
-    size = prod(stop - start for start, stop in zip(low, high, strict=True))
-    bounds = [bound for pair in zip(low, high, strict=True) for bound in pair]
-    return _Part(_groups(program, size), tuple(map(np.int64, (first, *bounds))))
 
 
 def _groups(program: lir.Program, size: int) -> int:
