@@ -28,7 +28,8 @@ def opencl_backend(device: Any, deterministic: Any, reorder: Any) -> DeviceBacke
     from ebb.runtime.opencl import opencl_device
 
     _check_switches("opencl", deterministic=deterministic, reorder=reorder)
-    return _backend_of("opencl", opencl_device(device), spirv(), "spirv", cache_directory(), deterministic, reorder)
+    chosen = opencl_device(device)
+    return _backend_of("opencl", chosen, spirv(chosen.lacks), "spirv", cache_directory(), deterministic, reorder)
 
 
 def cuda_backend(device: Any, deterministic: Any, reorder: Any) -> DeviceBackend:
