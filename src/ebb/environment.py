@@ -15,13 +15,21 @@ from ebb.backends.cache import cache_directory, cache_limit, cache_usage
 from ebb.backends.select import BACKENDS
 from ebb.errors import BackendError
 from ebb.relations.table import memory
+from ebb.runtime.opencl import describe_devices
+from ebb.runtime.opencl_runtime import HAS_WHEEL
 from ebb.runtime.threads import describe_threads, thread_count
 
 #: The widest vectors of a processor by the features that LLVM names, the widest first.
 _VECTOR_FEATURES = (("avx512f", "AVX-512"), ("avx2", "AVX2"), ("avx", "AVX"), ("sse4.2", "SSE4.2"), ("neon", "NEON"))
 
 #: The packages that an extra brings.
-_EXTRAS = {"mesh": ("meshio", "scipy"), "viz": ("pyvista", "pymeshfix", "meshio", "scipy"), "openmp": ("intel-openmp",)}
+_EXTRAS = {
+    "mesh": ("meshio", "scipy"),
+    "viz": ("pyvista", "pymeshfix", "meshio", "scipy"),
+    "openmp": ("intel-openmp",),
+    "opencl": ("pyopencl", "intel-opencl-rt", "intel-cmplr-lib-rt") if HAS_WHEEL else ("pyopencl",),
+    "cuda": ("cuda-bindings", "nvidia-cuda-nvcc-cu12"),
+}
 
 
 def describe_environment() -> tuple[tuple[str, str], ...]:
@@ -36,6 +44,7 @@ def describe_environment() -> tuple[tuple[str, str], ...]:
         ("threads", _threads()),
         ("cache", _cache()),
         *((f"backend {name}", _backend(name)) for name in BACKENDS),
+        *(("opencl device", device) for device in _opencl_devices()),
         *((f"extra {extra}", _extra(extra)) for extra in _EXTRAS),
     )
 
@@ -72,6 +81,14 @@ def _backend(name: str) -> str:
         hints = "; ".join(error.diagnostics[0].hints)
         return f"not available: {error.diagnostics[0].title}; {hints}"
     return "available"
+
+
+def _opencl_devices() -> tuple[str, ...]:
+    """The devices; where pyopencl is missing, the row of the backend says so."""
+    try:
+        return describe_devices()
+    except BackendError:
+        return ()
 
 
 def _extra(extra: str) -> str:

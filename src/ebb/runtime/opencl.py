@@ -6,7 +6,6 @@ import ctypes
 import operator
 import os
 import re
-import sys
 from contextlib import suppress
 from enum import Enum
 from functools import cache
@@ -16,7 +15,7 @@ from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.device import Feature
 from ebb.runtime.errors_devices import DeviceLacks, NoDevice, UnknownDevice
-from ebb.runtime.opencl_runtime import WHEEL, platforms, wheel
+from ebb.runtime.opencl_runtime import HAS_WHEEL, WHEEL, platforms, wheel
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -50,6 +49,7 @@ class Candidate:
 
     number: int
     platform: str
+    driver: str
     name: str
     kind: Kind
     spirv: tuple[int, int]
@@ -69,9 +69,9 @@ class Candidate:
     def __str__(self) -> str:
         lacks = (*self.missing, *(feature.value for feature in Feature if feature in self.lacks))
         return (
-            f"{self.number}: {self.name} ({self.platform}), {self.kind.value}, {self.memory / 2**30:.1f} GiB, "
-            f"work-groups of {self.group_size:,} threads and {self.group_memory / 2**10:,.0f} KiB, "
-            f"lacks {', '.join(lacks) or 'nothing'}"
+            f"{self.number}: {self.name} ({self.platform}, driver {self.driver}), {self.kind.value}, "
+            f"{self.memory / 2**30:.1f} GiB, work-groups of up to {self.group_size:,} threads that share "
+            f"{self.group_memory / 2**10:,.0f} KiB; lacks {', '.join(lacks) or 'nothing'}"
         )
 
 
@@ -116,12 +116,15 @@ def find_devices() -> tuple[Candidate, ...]:
 
 
 def describe_devices() -> tuple[str, ...]:
-    """The OpenCL devices of this machine, a line each, for ``ebb info``; or why there is none.
+    """The OpenCL devices of this machine, and the platforms that have none, a line each, for ``ebb info``.
 
     Raises:
         BackendError: pyopencl is missing.
     """
-    return tuple(map(str, find_devices())) or (_no_device().title,)
+    devices = find_devices()
+    used = {device.handle.platform for device in devices}
+    idle = (f"none of the platform {platform.name.strip()}" for platform in platforms() if platform not in used)
+    return (*map(str, devices), *idle)
 
 
 def _cl() -> Any:
@@ -145,8 +148,8 @@ def _choose(choice: Any) -> Candidate:
         raise _unknown(source, choice, "it is neither a number of the list nor a part of a name", devices) from None
     if 0 <= number < len(devices):
         return devices[number]
-    there = "only device 0" if len(devices) == 1 else f"devices 0 to {len(devices) - 1}"
-    raise _unknown(source, choice, f"there is {there}", devices)
+    there = "is only device 0" if len(devices) == 1 else f"are devices 0 to {len(devices) - 1}"
+    raise _unknown(source, choice, f"there {there}", devices)
 
 
 def _named(source: str, choice: str, devices: tuple[Candidate, ...]) -> Candidate:
@@ -198,7 +201,7 @@ def _no_device() -> NoDevice:
     if runtime is not None and not devices:
         return NoDevice("opencl", reason, (f"{runtime.driver} has been offered, and is not listed",), ())
     driver = "install the OpenCL driver of the GPU"
-    if sys.platform != "linux":
+    if not HAS_WHEEL:
         return NoDevice("opencl", reason, tuple(map(str, devices)), (driver,))
     install = 'install a runtime for the processor: pip install "ebblang[opencl]"'
     return NoDevice("opencl", reason, tuple(map(str, devices)), (install, driver))
@@ -214,6 +217,7 @@ def _candidate(number: int, device: cl.Device) -> Candidate:
     return Candidate(
         number,
         device.platform.name.strip(),
+        device.driver_version.strip(),
         device.name.strip(),
         kind,
         _spirv_version(device),

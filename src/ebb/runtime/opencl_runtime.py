@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
 import re
 import sys
 from collections.abc import Generator, Mapping
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 WHEEL = "intel-opencl-rt"
 """The wheel with an OpenCL runtime for the processor; the wheels after it have libraries that it links to."""
+
+HAS_WHEEL = sys.platform == "linux" and platform.machine() == "x86_64"
+"""Whether there is such a wheel for this machine."""
 
 _WHEELS = (WHEEL, "intel-cmplr-lib-rt", "tbb")
 
@@ -80,7 +84,7 @@ def platforms() -> tuple[cl.Platform, ...]:
 @cache
 def wheel() -> Wheel | None:
     """The runtime from the wheels, None where it is not installed."""
-    libraries = _libraries() if sys.platform == "linux" else {}
+    libraries: Mapping[str, Path] = _libraries() if HAS_WHEEL else {}
     if _DRIVER not in libraries:
         return None
     return Wheel(libraries[_DRIVER], _load(libraries))
