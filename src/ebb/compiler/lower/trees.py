@@ -19,7 +19,7 @@ Component: TypeAlias = tuple[lir.Var, int]
 
 
 class Tree:
-    """What ``threads`` threads do together in the open body, which all of them run. One alone has nothing to combine."""
+    """What ``threads`` threads do together in the open body, which all of them run. One alone combines nothing."""
 
     def __init__(self, build: Builder, threads: int) -> None:
         self._build = build
