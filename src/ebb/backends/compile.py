@@ -1,31 +1,34 @@
-"""LIR to object code for a target, through the disk cache, and its stages as text."""
+"""LIR to what a target takes, through the disk cache; its stages as text; what it needs of a device."""
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
 import ebb.backends.llvm as emitter
 from ebb.backends import target as targets
 from ebb.backends.cache import ObjectCache, key_of
-from ebb.backends.target import Target
+from ebb.backends.target import Form, Target
 from ebb.compiler import lir, lir_print, lir_verify, lir_walk
 from ebb.compiler.pipeline import dump, log_time
 from ebb.errors import BackendError
-from ebb.runtime import cpu, replay
+from ebb.runtime import cpu, device, replay
+from ebb.runtime.device import Feature
 from ebb.runtime.errors import VariablesTooLarge
+from ebb.types.types import ScalarType, float64
 
 MOST_PRIVATE_BYTES = 1 << 20
 """The most memory that a row's variables may take: threads have stacks of two megabytes and more."""
 
 
 def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> bytes:
-    """The object code of ``program``: from ``cache``, or compiled and put there.
+    """What ``target`` takes of ``program``, in its ``form``: from ``cache``, or compiled and put there.
 
     Raises:
-        BackendError: the variables of one row do not fit on a thread's stack.
+        BackendError: the variables of one row do not fit on a thread's stack, or a library is not installed.
     """
     check_private_bytes(program.name, program.private_bytes)
     text = lir_print.text(program)
@@ -37,10 +40,16 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
         start = time.perf_counter()
         module = _module(program, target)
         dump(program.name, "optimize", lambda: str(module))
-        image = bytes(target.machine.emit_object(module))
+        image = _image(module, target)
         log_time(program.name, "compiling", start)
         cache.put(key, image)
     return image
+
+
+def _image(module: Any, target: Target) -> bytes:
+    if target.form is Form.PTX:  # which the driver compiles
+        return target.machine.emit_assembly(module).encode()
+    return bytes(target.machine.emit_object(module))
 
 
 def replay_code(target: Target, cache: ObjectCache) -> bytes:
@@ -73,6 +82,35 @@ def assembly_text(program: lir.Program, target: Target) -> str:
     return text
 
 
+def needs(program: lir.Program) -> frozenset[Feature]:
+    """What a device must have to run ``program``. Additions of floats are no need: there are other ways to do them."""
+    found: set[Feature] = set()
+    updated = {stmt.slot.type.bits for stmt in _statements(program) if isinstance(stmt, lir.AtomicUpdate)}
+    if 64 in updated or program.prints:
+        found.add(Feature.ATOMICS64)
+    if float64 in _types(program):
+        found.add(Feature.FLOAT64)
+    return frozenset(found)
+
+
+def _statements(program: lir.Program) -> Iterator[lir.Stmt]:
+    return lir_walk.statements((*program.block, *program.finish))
+
+
+def _types(program: lir.Program) -> set[ScalarType]:
+    """The types of all that is computed."""
+    found = {thing.type for things in (program.slots, program.arguments) for thing in things}
+    for stmt in _statements(program):
+        match stmt:
+            case lir.Let(temp):
+                found.add(temp.type)
+            case lir.Declare(var):
+                found.add(var.type)
+            case _:
+                pass
+    return found
+
+
 def _module(program: lir.Program, target: Target) -> Any:
     """What LLVM makes of ``program``."""
     # Here, since a process whose kernels are all in the cache never gets here.
@@ -87,7 +125,7 @@ def _emitter_version() -> str:
     """A hash of the sources that make machine code of LIR, so that code of another version is never taken for ours."""
     folder = next(iter(emitter.__path__))
     sources = sorted(os.path.join(folder, name) for name in os.listdir(folder) if name.endswith(".py"))
-    sources += [str(module.__file__) for module in (lir, lir_walk, cpu, replay, targets)]
+    sources += [str(module.__file__) for module in (lir, lir_walk, cpu, device, replay, targets)]
     return key_of(*map(_content, sources))
 
 

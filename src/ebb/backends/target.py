@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable
+from enum import Enum
+from functools import cache, partial
 from typing import Any
 
 import llvmlite
@@ -12,8 +14,17 @@ from ebb.backends.llvm.hooks import Hooks, cpu_hooks
 from ebb.backends.llvm.vector_math import VERSIONS
 from ebb.errors import BackendError
 from ebb.records import record
+from ebb.runtime.device import Feature
 from ebb.runtime.errors import NoMachineCode
 from ebb.runtime.symbols import libmvec_versions
+
+
+class Form(Enum):
+    """What programs are compiled to."""
+
+    OBJECT = "an object file"
+    SPIRV = "a SPIR-V module"
+    PTX = "PTX"
 
 
 @record(eq=False)
@@ -21,21 +32,25 @@ class Target:
     """A machine to compile for.
 
     Attributes:
+        form: what it takes.
         triple: LLVM's name of the kind of machine.
         cpu: LLVM's name of the processor.
         features: the instruction sets that may be used, as LLVM spells them.
-        vector_math: the versions of the library of vector functions that this process has.
+        libraries: the version of what else the code depends on.
+        find_hooks: finds out what the emitter needs to know.
     """
 
+    form: Form
     triple: str
     cpu: str
     features: str
-    vector_math: tuple[tuple[int, int], ...]
+    libraries: str
+    find_hooks: Callable[[], Hooks]
 
     @property
     def hooks(self) -> Hooks:
         """What the emitter needs to know, found out when something is compiled."""
-        return _hooks(self)
+        return self.find_hooks()
 
     @property
     def machine(self) -> Any:
@@ -46,11 +61,17 @@ class Target:
         """
         return _machine(self)
 
+    def image(self, module: Any) -> bytes:
+        """What the machine takes of an LLVM module."""
+        if self.form is Form.PTX:
+            return str(self.machine.emit_assembly(module)).encode()
+        return bytes(self.machine.emit_object(module))
+
     @property
     def fingerprint(self) -> str:
-        """All that the object code depends on beside the program."""
+        """All that the compiled code depends on beside the program."""
         version = ".".join(map(str, llvm.llvm_version_info))
-        libraries = f"llvmlite {llvmlite.__version__} llvm {version} libmvec {self.vector_math}"
+        libraries = f"llvmlite {llvmlite.__version__} llvm {version} {self.libraries}"
         return f"{self.triple} {self.cpu} {self.features} {libraries}"
 
 
@@ -76,19 +97,60 @@ def host() -> Target:
         raise BackendError(NoMachineCode(triple, str(error))) from error
     tuned = [tuning for family, tuning in _TUNING.items() if cpu.startswith(family)]
     vector_math = tuple(libmvec_versions(VERSIONS)) if triple.startswith("x86_64") else ()
-    return Target(triple, cpu, ",".join((features, *tuned)), vector_math)
+    return Target(
+        Form.OBJECT,
+        triple,
+        cpu,
+        ",".join((features, *tuned)),
+        f"libmvec {vector_math}",
+        cache(partial(cpu_hooks, features, vector_math)),
+    )
+
+
+_FLOAT_ADDS = {32: Feature.FLOAT32_ADD, 64: Feature.FLOAT64_ADD}
 
 
 @cache
-def _hooks(target: Target) -> Hooks:
-    return cpu_hooks(target.features, target.vector_math)
+def spirv(lacks: frozenset[Feature] = frozenset()) -> Target:
+    """OpenCL devices that take SPIR-V.
+
+    Args:
+        lacks: what the device does not have. What it lacks of atomic additions becomes loops; nothing stands in for
+            the rest, which programs may need (``compile.needs``).
+    """
+    from ebb.backends.llvm.spirv import TRIPLE, spirv_hooks
+
+    adds = frozenset(bits for bits, feature in _FLOAT_ADDS.items() if feature not in lacks)
+    libraries = f"atomic addition of floats of {sorted(adds)} bits"
+    return Target(Form.SPIRV, TRIPLE, "", "", libraries, cache(partial(spirv_hooks, adds)))
+
+
+@cache
+def nvptx(capability: int) -> Target:
+    """NVIDIA's GPUs of a compute capability, 10 major + minor, and later ones."""
+    from ebb.backends.llvm.libdevice import libdevice_version
+    from ebb.backends.llvm.nvptx import NVPTX, TRIPLE, architecture
+
+    return Target(Form.PTX, TRIPLE, architecture(capability), "", f"libdevice {libdevice_version()}", lambda: NVPTX)
 
 
 @cache
 def _machine(target: Target) -> Any:
+    if target.form is not Form.OBJECT:
+        _initialize_devices()
     try:
         return llvm.Target.from_triple(target.triple).create_target_machine(
             cpu=target.cpu, features=target.features, opt=3, reloc="pic", codemodel="small"
         )
     except RuntimeError as error:
         raise BackendError(NoMachineCode(target.triple, str(error))) from error
+
+
+@cache
+def _initialize_devices() -> None:
+    """Sets up LLVM's other code generators, and lets SPIR-V have what OpenCL needs an extension for."""
+    from ebb.backends.llvm.spirv import EXTENSIONS
+
+    llvm.set_option("ebb", f"--spirv-ext={','.join(f'+{name}' for name in EXTENSIONS)}")
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()

@@ -47,6 +47,8 @@ def write_kernels(program: lir.Program, module: ModuleWriter) -> None:
         kernel = _KernelEmitter(program, module, module.hooks.groups)
         kernel.body(body)
         kernel.finish(entry)
+    for name, note in module.hooks.groups.module_notes.items():
+        module.metadata.append(f"!{name} = !{{{module.note(note)}}}")
 
 
 class _KernelEmitter(StatementEmitter):
@@ -124,10 +126,12 @@ class _KernelEmitter(StatementEmitter):
     def row_loop(self, stmt: lir.RowLoop) -> None:
         """The rows of the thread, by their numbers within the box."""
         w, size = self.w, self.program.group_size
-        extents = [w.emit(f"sub i64 %high{d}, %low{d}") for d in range(self.program.dimensions)]
-        rows = extents[0]
-        for extent in extents[1:]:
-            rows = w.emit(f"mul i64 {rows}, {extent}")
+        extents, rows = list[str](), "%high0"
+        if self.program.space is lir.Space.BOX:
+            extents = [w.emit(f"sub i64 %high{d}, %low{d}") for d in range(self.program.dimensions)]
+            rows = extents[0]
+            for extent in extents[1:]:
+                rows = w.emit(f"mul i64 {rows}, {extent}")
         first = w.emit(f"add i64 {w.emit(f'mul i64 %group, {size}')}, %thread")
         row, self.rows_end = w.fresh("row"), w.fresh("rows.end")
         match self.program.coverage:
@@ -157,6 +161,10 @@ class _KernelEmitter(StatementEmitter):
         """The body of ``stmt`` for the row ``number`` of the box."""
         w = self.w
         self.row = w.emit(f"add i64 %{FIRST_ROW}, {number}")
+        if self.program.space is lir.Space.LINE:
+            self.temps[stmt.index[0].number] = number
+            self.body(stmt.body)
+            return
         rest = number
         for d in range(self.program.dimensions - 1, -1, -1):
             coordinate = rest

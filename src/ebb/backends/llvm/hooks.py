@@ -62,6 +62,7 @@ class Groups:
         float_adds: the bits of floats that are added atomically by an instruction.
         atomic_bits: the width of the narrowest atomic operations.
         notes: metadata of kernels, by kind; ``{group_size}`` stands for the threads of a group.
+        module_notes: metadata of modules, by name.
     """
 
     kernel: str
@@ -75,6 +76,7 @@ class Groups:
     float_adds: frozenset[int]
     atomic_bits: int
     notes: Mapping[str, str]
+    module_notes: Mapping[str, str]
 
 
 @record

@@ -1,4 +1,4 @@
-"""LLVM's own pipeline over an emitted module, and the object code of a target."""
+"""LLVM's own passes over an emitted module, by the form that a target takes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
-from ebb.backends.target import Target
+from ebb.backends.target import Form, Target
 from ebb.compiler.kir_verify import CompilerBug
 
 
@@ -15,10 +15,11 @@ class BadModule(CompilerBug):
 
 
 def optimize(text: str, target: Target) -> Any:
-    """The module of ``text`` after LLVM's O3 pipeline with both vectorisers, for the machine of ``target``.
+    """The module of ``text`` after LLVM's passes, for the machine of ``target``.
 
     Raises:
         BadModule: the text is no valid module.
+        BackendError: a library that it calls is not installed.
     """
     machine = target.machine
     try:
@@ -28,11 +29,28 @@ def optimize(text: str, target: Target) -> Any:
         module.verify()
     except RuntimeError as error:
         raise BadModule(f"{error}\n{text}") from None
+    match target.form:
+        case Form.OBJECT:
+            _pipeline(module, machine, vectorize=True)
+        case Form.PTX:
+            from ebb.backends.llvm.libdevice import link
+
+            link(module)
+            _pipeline(module, machine, vectorize=False)
+        case Form.SPIRV:
+            from ebb.backends.llvm.spirv_passes import check, simplify
+
+            simplify(module, machine)
+            check(module)
+    return module
+
+
+def _pipeline(module: Any, machine: Any, *, vectorize: bool) -> None:
+    """LLVM's O3; the threads of a group are vectors already."""
     options = llvm.create_pipeline_tuning_options(speed_level=3)
-    options.loop_vectorization = True
-    options.slp_vectorization = True
-    options.loop_interleaving = True
+    options.loop_vectorization = vectorize
+    options.slp_vectorization = vectorize
+    options.loop_interleaving = vectorize
     options.loop_unrolling = True
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
-    return module

@@ -8,10 +8,21 @@ from __future__ import annotations
 from ebb.backends.llvm.hooks import INTRINSICS, NOT_ALWAYS_RIGHT, Call, Groups, Hooks, Strips
 from ebb.records import replace
 
+TRIPLE = "spirv64-unknown-unknown"
+
+EXTENSIONS = ("SPV_EXT_shader_atomic_float_add",)
+"""What modules may use beside the core of SPIR-V, where a program has such instructions."""
+
+_INSTRUCTIONS = ("abs", "sqrt", "floor", "ceil", "trunc", "round", "copysign")
+"""The functions by LLVM's names. Of more it would make yet others, such as ``powi``, which OpenCL has not."""
+
 _FUNCTIONS = {
     name: name
-    for name in ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot", "erf", "erfc", "lgamma", "fmod")
-} | {"gamma": "tgamma"}
+    for name in (
+        "cbrt", "exp", "log", "log2", "log10", "exp2", "expm1", "log1p", "sin", "cos", "tan", "asin", "acos", "atan",
+        "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc", "lgamma", "pow", "atan2", "fmod", "hypot",
+    )
+} | {"gamma": "tgamma"}  # fmt: skip
 
 _MANGLED = {name: f"_Z{len(called)}{called}{{operands}}" for name, called in _FUNCTIONS.items()}
 
@@ -28,14 +39,16 @@ _GROUPS = Groups(
     scope=' syncscope("device")',
     float_adds=frozenset(),
     atomic_bits=32,
-    notes={"reqd_work_group_size": "!{{i32 {group_size}, i32 1, i32 1}}"},
+    notes={"reqd_work_group_size": "!{{{{i32 {group_size}, i32 1, i32 1}}}}"},
+    # Without the first, a * b + c must not be fused. The second is the version of OpenCL C that has what is used.
+    module_notes={"opencl.enable.FP_CONTRACT": "!{{}}", "opencl.ocl.version": "!{{i32 2, i32 0}}"},
 )
 
 
 def spirv_hooks(float_adds: frozenset[int]) -> Hooks:
     """The hooks of a device that adds floats of ``float_adds`` bits atomically by an instruction."""
     return Hooks(
-        math={**INTRINSICS, **_MANGLED},
+        math={**{name: INTRINSICS[name] for name in _INSTRUCTIONS}, **_MANGLED},
         convention="spir_func ",
         missing=NOT_ALWAYS_RIGHT,
         attributes="nounwind",

@@ -1,0 +1,66 @@
+"""What LLVM does to a module before it becomes SPIR-V.
+
+OpenCL's drivers optimise what they are given, so a few passes that make it small are enough. More would do harm: the
+loop passes and vectorisers make integers of odd widths, vectors and overflow intrinsics, which LLVM's SPIR-V target
+translates wrongly without a word, or ends the process.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import llvmlite.binding as llvm
+
+from ebb.compiler.kir_verify import CompilerBug
+
+
+class Untranslatable(CompilerBug):
+    """The module has what SPIR-V has not."""
+
+
+_WIDTHS = frozenset({1, 8, 16, 32, 64})
+
+_INTEGER = re.compile(r"(?<![\w%@.!-])i(\d+)\b")
+_VECTOR = re.compile(r"<\d+ x \w+>")
+_INTRINSIC = re.compile(r"@llvm\.([a-z]+(?:\.[a-z]+)*)")
+
+_INTRINSICS = frozenset({
+    "abs", "smin", "smax", "umin", "umax", "fabs", "sqrt", "floor", "ceil", "trunc", "rint", "copysign", "fma",
+    "fshl", "fshr", "ctpop", "cttz", "ctlz", "bswap", "bitreverse", "uadd.sat", "usub.sat", "sadd.sat", "ssub.sat",
+    "scmp", "ucmp", "memset.p", "assume", "minnum", "maxnum", "is.fpclass",
+})  # fmt: skip
+"""The intrinsics that were seen to be translated rightly."""
+
+
+def simplify(module: Any, machine: Any) -> None:
+    """Inlines calls, puts variables into registers, unrolls small loops, and folds what follows."""
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_always_inliner_pass()
+    passes.add_global_dead_code_eliminate_pass()
+    for _ in range(2):
+        passes.add_sroa_pass()
+        passes.add_instruction_combine_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_loop_unroll_pass()
+    passes.add_sroa_pass()
+    passes.add_sccp_pass()
+    passes.add_instruction_combine_pass()
+    passes.add_dead_store_elimination_pass()
+    passes.add_aggressive_dce_pass()
+    passes.add_simplify_cfg_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2)))
+
+
+def check(module: Any) -> None:
+    """Refuses what would not become the same in SPIR-V.
+
+    Raises:
+        Untranslatable: there is such a thing in ``module``.
+    """
+    text = str(module)
+    wrong = {f"i{width}" for width in _INTEGER.findall(text) if int(width) not in _WIDTHS}
+    wrong.update(_VECTOR.findall(text))
+    wrong.update(f"llvm.{name}" for name in _INTRINSIC.findall(text) if name not in _INTRINSICS)
+    if wrong:
+        raise Untranslatable(f"{', '.join(sorted(wrong))} in\n{text}")
