@@ -32,6 +32,7 @@ PROPERTIES: dict[str, Any] = {
     "max_mem_alloc_size": 2**28,
     "max_parameter_size": 1024,
     "single_fp_config": 0,
+    "atomic_floats": (7, 7),
     "group_memory_of_kernels": 0,
 }
 
@@ -155,6 +156,7 @@ def machine(*platforms: Platform, wheel: Wheel | None = None) -> Iterator[None]:
         imported(module()),
         patch.object(opencl, "platforms", lambda: platforms),
         patch.object(opencl, "wheel", lambda: wheel),
+        patch.object(opencl, "_atomic_floats", lambda device, extensions: device.atomic_floats),
         patch.object(opencl, "find_devices", cache(opencl.find_devices.__wrapped__)),
     ):
         yield

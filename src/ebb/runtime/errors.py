@@ -8,6 +8,9 @@ from ebb.diagnostics.diagnostic import Diagnostic
 from ebb.diagnostics.nearest import nearest
 from ebb.records import record
 
+_GPU = ("gpu", "device", "nvidia", "intel", "amd")
+"""What people call the backends for devices."""
+
 
 @record
 class UnknownBackend(Diagnostic):
@@ -27,6 +30,8 @@ class UnknownBackend(Diagnostic):
 
     @property
     def hints(self) -> tuple[str, ...]:
+        if self.name.casefold() in _GPU:
+            return ('for NVIDIA\'s: ebb.set_backend("cuda")', 'for others: ebb.set_backend("opencl")')
         close = nearest(self.name, self.known)
         return (f"did you mean '{close}'?",) if close else (f'choose one: ebb.set_backend("{self.known[0]}")',)
 

@@ -86,9 +86,8 @@ class DeviceLacks(Diagnostic):
 
     @property
     def title(self) -> str:
-        who = "kernels" if self.kernel is None else f"kernel '{self.kernel}'"
-        need = "need" if self.kernel is None else "needs"
-        return f"{who} cannot run on the device '{self.device}': it lacks {' and '.join(self.features)}, which {need}"
+        who = "every kernel" if self.kernel is None else f"kernel '{self.kernel}'"
+        return f"the device '{self.device}' lacks {' and '.join(self.features)}, which {who} needs"
 
     @property
     def hints(self) -> tuple[str, ...]:
@@ -142,7 +141,7 @@ class LaunchTooLarge(Diagnostic):
     def title(self) -> str:
         return (
             f"kernel '{self.kernel}' cannot run on the device '{self.device}': "
-            f"it takes {self.asked:,} {self.what}, and the device has at most {self.most:,}"
+            f"it takes {self.asked:,} {self.what}, and there may be {self.most:,}"
         )
 
     @property
