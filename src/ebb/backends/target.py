@@ -59,7 +59,8 @@ class Target:
         Raises:
             BackendError: LLVM has no code generator for it.
         """
-        return _machine(self)
+        # LLVM's machine for SPIR-V remembers the types of the module that it has emitted: it is good for one.
+        return _new_machine(self) if self.form is Form.SPIRV else _machine(self)
 
     def image(self, module: Any) -> bytes:
         """What the machine takes of an LLVM module."""
@@ -136,6 +137,10 @@ def nvptx(capability: int) -> Target:
 
 @cache
 def _machine(target: Target) -> Any:
+    return _new_machine(target)
+
+
+def _new_machine(target: Target) -> Any:
     if target.form is not Form.OBJECT:
         _initialize_devices()
     try:

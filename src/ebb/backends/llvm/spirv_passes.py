@@ -23,12 +23,12 @@ _WIDTHS = frozenset({1, 8, 16, 32, 64})
 
 _INTEGER = re.compile(r"(?<![\w%@.!-])i(\d+)\b")
 _VECTOR = re.compile(r"<\d+ x \w+>")
-_INTRINSIC = re.compile(r"@llvm\.([a-z]+(?:\.[a-z]+)*)")
+_INTRINSIC = re.compile(r"@llvm\.([a-z.]+?)(?:\.[fip]\d|\()")
 
 _INTRINSICS = frozenset({
     "abs", "smin", "smax", "umin", "umax", "fabs", "sqrt", "floor", "ceil", "trunc", "rint", "copysign", "fma",
     "fshl", "fshr", "ctpop", "cttz", "ctlz", "bswap", "bitreverse", "uadd.sat", "usub.sat", "sadd.sat", "ssub.sat",
-    "scmp", "ucmp", "memset.p", "assume", "minnum", "maxnum", "is.fpclass",
+    "scmp", "ucmp", "memset", "assume", "minnum", "maxnum", "is.fpclass",
 })  # fmt: skip
 """The intrinsics that were seen to be translated rightly."""
 
