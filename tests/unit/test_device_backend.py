@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from fake_device import FakeDevice
 
 import ebb
 from backends import lacking
@@ -21,6 +20,7 @@ from ebb.backends.llvm.group import parameters
 from ebb.backends.target import spirv
 from ebb.runtime import device as protocol
 from ebb.runtime import random
+from fake_device import FakeDevice
 
 opencl = pytest.mark.skipif(lacking("opencl") is not None, reason=str(lacking("opencl")))
 
@@ -182,6 +182,26 @@ def test_code_is_compiled_once(device):
         grow(rows)
     grow(rows)
     assert loaded == ["grow"]
+
+
+def test_what_the_device_lacks_is_said_before_anything_runs(device):
+    rows = rows_of(5, x=ebb.float64, n=ebb.int64, f=ebb.float32)
+
+    @ebb.kernel
+    def wide(r: rows):
+        r.x += 1
+
+    @ebb.kernel
+    def narrow(r: rows):
+        r.f += 1
+
+    device.lacks = frozenset({protocol.Feature.FLOAT64})
+    with pytest.raises(ebb.BackendError, match=r"lacks ebb\.float64, which kernel 'wide'") as caught:
+        wide(rows)
+    assert caught.value.codes == ("E613",) and "ebb.float32" in str(caught.value)
+    assert device.launches == []
+    narrow(rows)
+    assert len(device.launches) == 1
 
 
 # ---- What is moved ----
@@ -370,7 +390,7 @@ def test_sums_at_computed_places_run_in_order_where_bits_shall_repeat():
     @ebb.kernel
     def scatter(e: edges):
         end = e.tail
-        for i in range(3):
+        for _ in range(3):
             end = end.picked
         end.sum += e.weight
 
@@ -461,7 +481,7 @@ def test_ptx_and_spirv_are_shown_on_every_backend(backend):
 
     with ebb.backend(backend):
         ptx, code = grow.inspect(rows, "ptx", block_size=96), grow.inspect(rows, "spirv")
-        with pytest.raises(ebb.KernelTypeError, match="ptx, spirv|spirv, ptx"):
+        with pytest.raises(ebb.KernelTypeError, match=r"ptx, spirv|spirv, ptx"):
             grow.inspect(rows, "nothing of the kind")
     assert ".entry ebb_grow" in ptx and "96" in ptx
     assert "OpEntryPoint Kernel" in code and '"ebb_grow"' in code

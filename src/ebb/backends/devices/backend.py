@@ -8,7 +8,7 @@ from functools import cached_property
 
 from ebb.backends.backend import Bound, CheckedKernel, How, Operation
 from ebb.backends.cache import ObjectCache
-from ebb.backends.compile import check_private_bytes, object_code
+from ebb.backends.compile import check_private_bytes, needs, object_code
 from ebb.backends.devices.binding import DeviceBinding
 from ebb.backends.devices.failures import FailureRecords
 from ebb.backends.devices.stages import STAGES
@@ -20,10 +20,12 @@ from ebb.compiler.lower import variable_bytes
 from ebb.compiler.phases.order import InOrder, shares_sums, why_in_order
 from ebb.compiler.scatter.choose import ROW_AFTER_ROW, Plan, Planner, Run
 from ebb.compiler.scatter.step import Step
+from ebb.errors import BackendError
 from ebb.relations.field import Field
 from ebb.relations.subset import RowSet
-from ebb.runtime.device import Device, Entry
+from ebb.runtime.device import Device, Entry, Feature
 from ebb.runtime.epoch import structure_changed
+from ebb.runtime.errors_devices import DeviceLacks
 
 ATOMICALLY = "into other rows, atomically, in any order: the bits of sums of floats may differ from launch to launch"
 
@@ -165,8 +167,24 @@ class DeviceExecutable:
 
     def _load(self, program: lir.Program) -> tuple[Entry, ...]:
         backend = self._backend
+        lacking = needs(program) & backend.device.lacks
+        if lacking:
+            raise BackendError(_lacks(backend.device, program.name, lacking))
         image = object_code(program, backend.target, backend.cache)
         return backend.device.load(program.name, image, program.entries)
 
     def _attach(self, step: Step, program: lir.Program, entries: tuple[Entry, ...], rows: RowSet) -> DeviceBinding:
         return DeviceBinding(step, program, entries, self._backend.device, self._backend.failures, rows)
+
+
+_REMEDIES = {
+    Feature.FLOAT64: "keep numbers in ebb.float32: fields, globals and annotated parameters",
+    Feature.ATOMICS64: "reduce into 32-bit numbers, or do without atomic operations: deterministic=True",
+}
+
+
+def _lacks(device: Device, kernel: str, lacking: frozenset[Feature]) -> DeviceLacks:
+    features = sorted(lacking, key=list(Feature).index)
+    remedies = [_REMEDIES[feature] for feature in features if feature in _REMEDIES]
+    names = tuple(feature.value for feature in features)
+    return DeviceLacks(device.name, kernel, names, (*remedies, 'run on the processor: ebb.set_backend("cpu")'))
