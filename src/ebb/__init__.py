@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ebb.backends.select import backend, set_backend
 from ebb.capture import capture
-from ebb.compiler.elaborate.intrinsics import affine, where
+from ebb.compiler.elaborate.intrinsics import affine, row_at, where
 from ebb.errors import (
     BackendError,
     BoundsError,
@@ -233,6 +233,7 @@ __all__ = [
     "rand",
     "randn",
     "round",
+    "row_at",
     "seed",
     "select",
     "set_backend",

@@ -187,6 +187,8 @@ def _name(expr: kir.Expr) -> Any:
             return (of, _name(key))
         case kir.Affine(matrix, key):
             return (expr.type, matrix, _name(key))
+        case kir.RowAt(coordinates):
+            return (expr.type, _name(coordinates))
         case kir.Component(operand, indices):
             return (_name(operand), *map(_name, indices))
         case _:

@@ -88,7 +88,7 @@ class ComponentOutOfRange(Failure):
 
 @record
 class AffineOutside(Failure):
-    """An affine access, from a key that comes from data, falls outside the grid."""
+    """An access to a row of a grid, at a place that comes from data, falls outside it."""
 
     code: ClassVar[str] = "E403"
     grid: str
@@ -118,7 +118,7 @@ class AffineOutside(Failure):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        return ('clamp the access: ebb.affine(..., edge="clamp")', "make the grid periodic in that dimension")
+        return ('clamp the access with edge="clamp"', "make the grid periodic in that dimension")
 
 
 @record
@@ -191,12 +191,12 @@ def component_out_of_range(
     return BoundsError(ComponentOutOfRange(kernel.name, row, span, index, type.shape[axis], type))
 
 
-def affine_outside(kernel: kir.Kernel, position: int, node: kir.Affine, at: Sequence[int]) -> BoundsError:
+def affine_outside(kernel: kir.Kernel, position: int, node: kir.Affine | kir.RowAt, at: Sequence[int]) -> BoundsError:
     """``node`` maps to the coordinates ``at``, before wrapping, which its target does not have."""
     assert isinstance(node.type, KeyType) and isinstance(node.type.target, Relation)
     grid = node.type.target
     row = row_name(kernel.relation, position)
-    found = tuple(int(index) for index in at)
+    found = tuple(int(index) for index in at[: grid.ndim])
     return BoundsError(AffineOutside(kernel.name, row, node.span, grid.name, grid.shape, grid.periodic, found))
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Edge(Enum):
-    """What an affine access does beyond the end of a dimension that does not wrap."""
+    """What an access to a row of a grid does beyond the end of a dimension that does not wrap."""
 
     CHECK = "check"
     CLAMP = "clamp"
@@ -244,6 +244,16 @@ class Affine:
 
 
 @record
+class RowAt:
+    """The row of the grid ``type.target`` at the coordinates ``operand``, an int64 vector; periodic dimensions wrap."""
+
+    operand: Expr
+    edge: Edge
+    type: Type
+    span: Span
+
+
+@record
 class RowId:
     """``ebb.id(key)``: the row's number when it was created, an int64."""
 
@@ -273,7 +283,7 @@ class QuerySize:
 
 Expr: TypeAlias = (
     Const | Uniform | ReadLocal | ReadGlobal | ReadField | Unary | Binary | Compare | Logic | Choose | Cast | Splat
-    | Build | Component | Call | Random | Affine | RowId | Coords | QuerySize
+    | Build | Component | Call | Random | Affine | RowAt | RowId | Coords | QuerySize
 )  # fmt: skip
 
 # ---- Statements. ``indices`` select a part of the place as in ``Component``; () is the whole of it. ----

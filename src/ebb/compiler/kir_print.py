@@ -171,6 +171,9 @@ class _Printer:
                 rows = ", ".join(f"[{', '.join(map(str, row))}]" for row in matrix)
                 clamp = ", clamp" if edge is kir.Edge.CLAMP else ""
                 return f"affine({_type(type)}, [{rows}], {self.top(key)}{clamp})"
+            case kir.RowAt(coordinates, edge, type):
+                clamp = ", clamp" if edge is kir.Edge.CLAMP else ""
+                return f"row_at({_type(type)}, {self.top(coordinates)}{clamp})"
             case kir.RowId(key):
                 return f"id({self.top(key)})"
             case kir.Coords(key):

@@ -251,6 +251,8 @@ class _Verifier:
                 _require(is_float(type) and not type.shape, expr, "a random number is a float")
             case kir.Affine():
                 self.affine(expr)
+            case kir.RowAt(coordinates, _, type):
+                self.same(vector(int64, _grid(type, expr).ndim), coordinates, expr)
             case kir.RowId(key):
                 _require(isinstance(key.type, KeyType), expr, "id() is of a key")
                 return int64

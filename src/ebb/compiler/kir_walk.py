@@ -17,7 +17,7 @@ def children(expr: Expr) -> tuple[Expr, ...]:
             return ()
         case kir.ReadField() | kir.Affine() | kir.RowId() | kir.Coords() | kir.QuerySize():
             return (expr.key,)
-        case kir.Unary() | kir.Cast() | kir.Splat():
+        case kir.Unary() | kir.Cast() | kir.Splat() | kir.RowAt():
             return (expr.operand,)
         case kir.Binary() | kir.Compare() | kir.Logic():
             return (expr.left, expr.right)
@@ -104,7 +104,7 @@ def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
     match expr:
         case kir.ReadField() | kir.Affine() | kir.RowId() | kir.Coords() | kir.QuerySize():
             return replace(expr, key=new[0])
-        case kir.Unary() | kir.Cast() | kir.Splat():
+        case kir.Unary() | kir.Cast() | kir.Splat() | kir.RowAt():
             return replace(expr, operand=new[0])
         case kir.Binary() | kir.Compare() | kir.Logic():
             return replace(expr, left=new[0], right=new[1])

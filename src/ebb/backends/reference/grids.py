@@ -1,4 +1,4 @@
-"""Affine maps between grids, in exact arithmetic."""
+"""Affine maps between grids, in exact arithmetic, and the rows at coordinates."""
 
 from __future__ import annotations
 
@@ -50,15 +50,16 @@ class AffineMap:
             for row, divisor in zip(self.rows, self.divisors, strict=True)
         )
 
-    def position(self, coordinates: tuple[int, ...]) -> int | None:
-        """The position of the row at ``coordinates``, wrapped and clamped; None if there is no such row."""
-        position = 0
-        for at, extent, wraps in zip(coordinates, self.target.shape, self.target.periodic, strict=True):
-            if wraps and extent:
-                at %= extent
-            elif self.edge is kir.Edge.CLAMP:
-                at = min(max(at, 0), extent - 1)
-            if not 0 <= at < extent:
-                return None
-            position = position * extent + at
-        return position
+
+def position_at(grid: Relation, coordinates: tuple[int, ...], edge: kir.Edge) -> int | None:
+    """The position of the row of ``grid`` at ``coordinates``, wrapped and clamped; None if there is no such row."""
+    position = 0
+    for at, extent, wraps in zip(coordinates, grid.shape, grid.periodic, strict=True):
+        if wraps and extent:
+            at %= extent
+        elif edge is kir.Edge.CLAMP:
+            at = min(max(at, 0), extent - 1)
+        if not 0 <= at < extent:
+            return None
+        position = position * extent + at
+    return position

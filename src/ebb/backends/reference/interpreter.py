@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ebb.backends.reference.breakpoint import stop
-from ebb.backends.reference.grids import AffineMap
+from ebb.backends.reference.grids import AffineMap, position_at
 from ebb.compiler import failures, kir
 from ebb.compiler.kir_walk import draws
 from ebb.compiler.print_format import format_value
@@ -162,6 +162,8 @@ class Row:
                 return self.draw(expr)
             case kir.Affine(_, key):
                 return self.affine(expr, self.value(key))
+            case kir.RowAt(asked):
+                return self.row_at(expr, tuple(int(index) for index in self.value(asked)))
             case kir.RowId(key):
                 return np.int64(failures.identity(_target(key.type), self.value(key)))
             case kir.Coords(key):
@@ -202,9 +204,11 @@ class Row:
 
     def affine(self, node: kir.Affine, key: int) -> int:
         """The row of a grid that an affine map gives."""
-        found = self.launch.affine(node)
-        at = found.coordinates(key)
-        position = found.position(at)
+        return self.row_at(node, self.launch.affine(node).coordinates(key))
+
+    def row_at(self, node: kir.Affine | kir.RowAt, at: tuple[int, ...]) -> int:
+        """The row of a grid at coordinates, wrapped and clamped as the node says."""
+        position = position_at(_target(node.type), at, node.edge)
         if position is None:
             raise failures.affine_outside(self.kernel, self.position, node, at)
         return position

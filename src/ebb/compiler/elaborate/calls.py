@@ -32,7 +32,7 @@ from ebb.compiler.elaborate.errors_types import BadCast, NumberRange
 from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.inline import inline_func, inline_member
 from ebb.compiler.elaborate.intrinsics import Intrinsic
-from ebb.compiler.elaborate.keys import FORMS, affine, where
+from ebb.compiler.elaborate.keys import FORMS, INTRINSICS
 from ebb.compiler.elaborate.operators import beside, binary, weak_operation
 from ebb.compiler.elaborate.rejected import REJECTED_CLAUSES
 from ebb.compiler.elaborate.values import (
@@ -124,7 +124,7 @@ def _apply(ctx: Context, function: Value, arguments: Arguments) -> Value:
         case Static(Func() as func, _, _):
             return inline_func(ctx, func, arguments.given, arguments.named, arguments.span)
         case Static(Intrinsic(name), _, _):
-            return (where if name == "where" else affine)(ctx, arguments.given, arguments.named, arguments.span)
+            return INTRINSICS[name](ctx, arguments.given, arguments.named, arguments.span)
         case Static() if arguments.named:
             complaint = "takes its arguments in order, without names"
             return ctx.poison(BuiltinArguments(arguments.span, function.name, complaint, None))
@@ -153,7 +153,7 @@ def _static_call(ctx: Context, function: Static, found: Any, arguments: Argument
 
 def _advice(found: Any, name: str) -> str:
     if isinstance(found, Relation | KeyType):
-        return "a key is not made from a number: follow a key field, use a query, or ebb.affine on a grid"
+        return "a key is not made from a number: follow a key field, use a query, or on a grid ebb.affine or ebb.row_at"
     if isinstance(found, Member):
         return f"use it of a row: v.{found.name}"
     try:

@@ -168,6 +168,22 @@ class AffineArguments(KernelDiagnostic):
 
 
 @record
+class RowAtArguments(KernelDiagnostic):
+    """The arguments of ``ebb.row_at`` do not fit."""
+
+    code: ClassVar[str] = "E233"
+    complaint: str
+
+    @property
+    def title(self) -> str:
+        return f"'ebb.row_at' {self.complaint}"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("ebb.row_at(cells, [i, j]): a grid, and an index for each dimension",)
+
+
+@record
 class KeyArgument(KernelDiagnostic):
     """``ebb.id`` or ``ebb.coords`` of something else than a key (of a grid)."""
 

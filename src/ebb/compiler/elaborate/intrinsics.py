@@ -1,4 +1,4 @@
-"""``ebb.where`` and ``ebb.affine``: functions that exist in kernels only."""
+"""``ebb.where``, ``ebb.affine`` and ``ebb.row_at``: functions that exist in kernels only."""
 
 from __future__ import annotations
 
@@ -32,4 +32,9 @@ affine = Intrinsic(
     "affine",
     '(target, matrix, key, edge="check")',
     "The row of a grid at an affine map of the coordinates of another; ``edge='clamp'`` stays inside.",
+)
+row_at = Intrinsic(
+    "row_at",
+    '(target, coordinates, edge="check")',
+    "The row of a grid at coordinates that are computed; ``edge='clamp'`` stays inside.",
 )

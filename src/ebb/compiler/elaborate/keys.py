@@ -1,4 +1,4 @@
-"""Functions of keys: queries, affine maps, row numbers, coordinates, and each row's random numbers."""
+"""Functions of keys: queries, affine maps and coordinates both ways, row numbers, and each row's random numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from ebb.compiler import kir
 from ebb.compiler.elaborate.attributes import relation_of
 from ebb.compiler.elaborate.context import Context
 from ebb.compiler.elaborate.convert import convert, typed
-from ebb.compiler.elaborate.errors_calls import AffineArguments, KeyArgument, NotGrouped, RandomType, WhereArguments
+from ebb.compiler.elaborate.errors_calls import (
+    AffineArguments,
+    KeyArgument,
+    NotGrouped,
+    RandomType,
+    RowAtArguments,
+    WhereArguments,
+)
 from ebb.compiler.elaborate.errors_types import NotCompileTime
 from ebb.compiler.elaborate.values import Poison, Query, Sequence, Static, Typed, Value, Weak, is_items, noun
 from ebb.compiler.host import HostConst
@@ -23,6 +30,7 @@ from ebb.relations.relation import Relation
 from ebb.types.types import KeyType, Kind, ScalarType, VectorType, float64, int32, int64
 
 Matrix = tuple[tuple[kir.Entry, ...], ...]
+_Wrong = type[AffineArguments] | type[RowAtArguments]
 
 _MOST_UNITS = 1 << 31
 """The most that the factors and the offset of a row may sum to, in units of their common denominator.
@@ -56,7 +64,7 @@ def affine(ctx: Context, given: list[Value], named: Mapping[str, Value], span: S
     matched = dict(zip(names, given, strict=False)) | dict(named)
     if len(given) + len(named) != len(matched) or set(matched) - {"edge"} != set(names[:3]) or len(given) > 4:
         return ctx.poison(AffineArguments(span, "takes a target, a matrix and a key, and perhaps an edge"))
-    target = _grid(ctx, matched["target"])
+    target = _grid(ctx, matched["target"], AffineArguments)
     key = typed(ctx, matched["key"])
     if target is None or key is None:
         return Poison(span)
@@ -64,7 +72,7 @@ def affine(ctx: Context, given: list[Value], named: Mapping[str, Value], span: S
         found = f"a key of '{relation_of(key).name}'" if isinstance(key.type, KeyType) else repr(key.type)
         return ctx.poison(AffineArguments(key.span, f"takes a key of a grid, not {found}"))
     matrix = _matrix(ctx, matched["matrix"])
-    edge = _edge(ctx, matched.get("edge"))
+    edge = _edge(ctx, matched.get("edge"), AffineArguments)
     if matrix is None or edge is None:
         return Poison(span)
     shape = (target.ndim, relation_of(key).ndim + 1)
@@ -75,20 +83,35 @@ def affine(ctx: Context, given: list[Value], named: Mapping[str, Value], span: S
     return Typed(kir.Affine(matrix, key, edge, target.key_type, span))
 
 
-def _grid(ctx: Context, value: Value) -> Relation | None:
+def row_at(ctx: Context, given: list[Value], named: Mapping[str, Value], span: Span) -> Value:
+    """``ebb.row_at(target, coordinates, edge="clamp")``."""
+    names = ("target", "coordinates", "edge")
+    matched = dict(zip(names, given, strict=False)) | dict(named)
+    if len(given) + len(named) != len(matched) or set(matched) - {"edge"} != set(names[:2]) or len(given) > 3:
+        return ctx.poison(RowAtArguments(span, "takes a target and coordinates, and perhaps an edge"))
+    target = _grid(ctx, matched["target"], RowAtArguments)
+    edge = _edge(ctx, matched.get("edge"), RowAtArguments)
+    if target is None or edge is None:
+        return Poison(span)
+    wanted = VectorType(int64, target.ndim)
+    coordinates = convert(ctx, matched["coordinates"], wanted, f"the coordinates of a row of '{target.name}'")
+    return Poison(span) if coordinates is None else Typed(kir.RowAt(coordinates, edge, target.key_type, span))
+
+
+def _grid(ctx: Context, value: Value, wrong: _Wrong) -> Relation | None:
     match value:
         case Static(Relation() as relation, _, _) if relation.is_grid:
             return relation
         case Static(Relation() as relation, _, span):
-            ctx.report(AffineArguments(span, f"takes a grid first, and '{relation.name}' has no shape"))
+            ctx.report(wrong(span, f"takes a grid first, and '{relation.name}' has no shape"))
         case Poison():
             pass
         case other:
-            ctx.report(AffineArguments(other.span, f"takes a grid first, not {noun(other)}"))
+            ctx.report(wrong(other.span, f"takes a grid first, not {noun(other)}"))
     return None
 
 
-def _edge(ctx: Context, value: Value | None) -> kir.Edge | None:
+def _edge(ctx: Context, value: Value | None, wrong: _Wrong) -> kir.Edge | None:
     match value:
         case None:
             return kir.Edge.CHECK
@@ -97,7 +120,7 @@ def _edge(ctx: Context, value: Value | None) -> kir.Edge | None:
         case Poison():
             return None
         case other:
-            ctx.report(AffineArguments(other.span, 'takes edge="check" or edge="clamp"'))
+            ctx.report(wrong(other.span, 'takes edge="check" or edge="clamp"'))
             return None
 
 
@@ -238,4 +261,10 @@ FORMS: Mapping[str, Callable[[Context, list[Value], Span], Value]] = {
     "coords": _coords,
     "rand": _random("rand"),
     "randn": _random("randn"),
+}
+
+INTRINSICS: Mapping[str, Callable[[Context, list[Value], Mapping[str, Value], Span], Value]] = {
+    "where": where,
+    "affine": affine,
+    "row_at": row_at,
 }

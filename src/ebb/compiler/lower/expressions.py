@@ -10,7 +10,7 @@ from ebb.compiler.lower.builder import Values, arm, index, number
 from ebb.compiler.lower.builtins import LOWERING
 from ebb.compiler.lower.context import Context, value_scalar
 from ebb.compiler.lower.facts import target
-from ebb.compiler.lower.keys import affine, coordinates, identity, part, read_field
+from ebb.compiler.lower.keys import affine, coordinates, identity, part, read_field, row_at
 from ebb.compiler.lower.random import draw
 from ebb.types.types import Kind, ScalarType, Type, bool_, int32, int64
 
@@ -56,6 +56,8 @@ def lower_expr(ctx: Context, expr: kir.Expr) -> Values:  # noqa: C901 - one case
             return (draw(ctx, expr),)
         case kir.Affine(_, key):
             return (affine(ctx, expr, lower_scalar(ctx, key)),)
+        case kir.RowAt(asked):
+            return (row_at(ctx, expr, lower_expr(ctx, asked)),)
         case kir.RowId(key):
             return (identity(ctx, target(key.type), lower_scalar(ctx, key)),)
         case kir.Coords(key):

@@ -83,6 +83,14 @@ def affine(ctx: Context, node: kir.Affine, base: lir.Value) -> lir.Value:
     return linear(ctx, grid, settled)
 
 
+def row_at(ctx: Context, node: kir.RowAt, asked: Values) -> lir.Value:
+    """The position of the row at the coordinates ``asked``, int64."""
+    grid = target(node.type)
+    settled = tuple(_settled(ctx, node, grid, dimension, at, None) for dimension, at in enumerate(asked))
+    _check(ctx, node, grid, asked, settled, None)
+    return linear(ctx, grid, settled)
+
+
 def _offsets(node: kir.Affine, source: Relation, grid: Relation) -> tuple[int, ...] | None:
     """The offset in each dimension where ``node`` moves by whole numbers on one grid."""
     if source is not grid:
@@ -126,7 +134,7 @@ def _row(ctx: Context, entries: Sequence[kir.Entry], at: Values) -> lir.Value:
 
 
 def _settled(
-    ctx: Context, node: kir.Affine, grid: Relation, dimension: int, asked: lir.Value, offset: int | None
+    ctx: Context, node: kir.Affine | kir.RowAt, grid: Relation, dimension: int, asked: lir.Value, offset: int | None
 ) -> lir.Value:
     """The coordinate wrapped or clamped."""
     b = ctx.build
@@ -146,7 +154,12 @@ def _settled(
 
 
 def _check(
-    ctx: Context, node: kir.Affine, grid: Relation, asked: Values, settled: Values, offsets: tuple[int, ...] | None
+    ctx: Context,
+    node: kir.Affine | kir.RowAt,
+    grid: Relation,
+    asked: Values,
+    settled: Values,
+    offsets: tuple[int, ...] | None,
 ) -> None:
     """Fails where the row does not exist; in a grid without rows that is always so."""
     if not grid.size:

@@ -29,9 +29,9 @@ class ComponentSite:
 
 @record
 class AffineSite:
-    """An affine access. Payload: the coordinates before they wrap."""
+    """An access to a row of a grid. Payload: the coordinates before they wrap."""
 
-    node: kir.Affine
+    node: kir.Affine | kir.RowAt
 
 
 @record
@@ -58,7 +58,7 @@ def error_at(site: Site, kernel: kir.Kernel, position: int, payload: Sequence[in
         case ComponentSite(span, axis, type_):
             return failures.component_out_of_range(kernel, position, span, payload[0], axis, type_)
         case AffineSite(node):
-            return failures.affine_outside(kernel, position, node, payload[: len(node.matrix)])
+            return failures.affine_outside(kernel, position, node, payload)
         case KeySite(span, field):
             return failures.unset_key(kernel, position, span, field, payload[0])
         case StepSite(stmt):

@@ -58,7 +58,7 @@ def _use(found: _Found, key: kir.Expr, centered: Centered, routes: dict[int, dic
         found.centered = True
         return
     through = _through(key, routes)
-    found.affine = found.affine or any(isinstance(part, kir.Affine) for part in subexpressions(key))
+    found.affine = found.affine or any(isinstance(part, kir.Affine | kir.RowAt) for part in subexpressions(key))
     found.keyed = found.keyed or bool(through)
     found.through.update(through)
 
