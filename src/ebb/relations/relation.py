@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from keyword import iskeyword
 from math import prod
-from types import MappingProxyType
+from types import MappingProxyType, MemberDescriptorType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast, overload
 
 import numpy as np
@@ -51,6 +51,8 @@ class Relation:
     """A set of rows, as a table is: fields are its columns. With ``shape=`` the rows are the cells of a grid.
 
     Fields, members and subsets are attributes: ``vertices.pos``. Two relations are equal only if they are the same.
+    A domain may derive from it, to give relations more methods; like its own slots, those of the derived class are set
+    once, and their names are taken.
 
     Attributes:
         name: for messages.
@@ -299,7 +301,7 @@ class Relation:
         return self.size
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name in Relation.__slots__:  # what Python asks of all objects; a slot not yet set
+        if name.startswith("__") or _is_slot(type(self), name):  # what Python asks of all objects; a slot not yet set
             raise AttributeError(f"relation has no attribute {name!r}")
         found = self._attributes.get(name)
         if found is None:
@@ -307,7 +309,7 @@ class Relation:
         return found
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name not in Relation.__slots__ or hasattr(self, name):  # a slot is set once, when the relation is made
+        if not _is_slot(type(self), name) or hasattr(self, name):  # a slot is set once, when the relation is made
             raise RelationError(AttributeAssigned(self.name, name, self._kind_of(name)))
         object.__setattr__(self, name, value)
 
@@ -391,9 +393,14 @@ class Relation:
         """What has the name already, in words, or None."""
         match self._attributes.get(name):
             case None:
-                return "built-in attribute" if name in dir(Relation) else None
+                return "built-in attribute" if any(name in vars(base) for base in type(self).__mro__) else None
             case found:
                 return type(found).__name__.lower()
+
+
+def _is_slot(kind: type[Relation], name: str) -> bool:
+    """Whether ``name`` is a slot of ``kind``, one that it inherits too."""
+    return isinstance(getattr(kind, name, None), MemberDescriptorType)
 
 
 def _checked_name(what: str, name: Any) -> str:
