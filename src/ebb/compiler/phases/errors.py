@@ -216,7 +216,8 @@ class StencilOutOfBounds(Diagnostic):
         extent: the length of the grid in that dimension.
         reach: the smallest and the largest index that the launched rows ask for there.
         row: the coordinates of a launched row for which it does.
-        subset: code that makes a subset for which no access of the kernel fails; None where no box will do.
+        fitting: a subset that there is for which no access of the kernel fails, or None.
+        subset: code that makes one of more rows; None where no box will do.
     """
 
     code: ClassVar[str] = "E410"
@@ -230,6 +231,7 @@ class StencilOutOfBounds(Diagnostic):
     extent: int
     reach: tuple[int, int]
     row: tuple[int, ...]
+    fitting: str | None
     subset: str | None
 
     @property
@@ -247,16 +249,17 @@ class StencilOutOfBounds(Diagnostic):
     def notes(self) -> tuple[str, ...]:
         row = str(self.row) if len(self.row) > 1 else ", ".join(map(str, self.row))
         fact = f"it does so for row {row} of {self.source!r}, which is among the launched rows; nothing was run"
-        if self.subset is not None:
+        if self.subset is not None or self.fitting is not None:
             return (fact,)
         return (fact, f"there is no box of rows of {self.source!r} for which all accesses of the kernel stay inside")
 
     @property
     def hints(self) -> tuple[str, ...]:
         other = 'make the dimension periodic, or clamp the access with ebb.affine(..., edge="clamp")'
-        if self.subset is None:
-            return (other,)
-        return (f"launch on the rows whose accesses stay inside:\n    {self.subset}", other)
+        ready = () if self.fitting is None else (f"launch on '{self.fitting}', where all accesses stay inside",)
+        rows = "the rows whose accesses stay inside" if self.fitting is None else "all such rows"
+        new = () if self.subset is None else (f"launch on {rows}:\n    {self.subset}",)
+        return (*ready, *new, other)
 
 
 def _global_name(*uses: Use) -> str:

@@ -21,7 +21,7 @@ from ebb.diagnostics.span import Span
 from ebb.errors import BoundsError
 from ebb.records import record
 from ebb.relations.relation import Relation
-from ebb.relations.subset import RowSet
+from ebb.relations.subset import RowSet, Subset
 from ebb.types.types import KeyType
 
 if TYPE_CHECKING:
@@ -73,14 +73,14 @@ def check_stencil(kernel: kir.Kernel, accesses: Sequence[Access], rows: RowSet) 
     """Checks that no access leaves its grid when ``kernel`` runs on ``rows``, whatever the branches.
 
     Raises:
-        BoundsError: some do; all of them are reported, with a subset that would do.
+        BoundsError: some do; all of them are reported, with subsets that would do.
     """
     checked = [access for access in accesses if access.node.edge is kir.Edge.CHECK]
     overruns = [(access, overrun) for access in checked if (overrun := _find_overrun(access, rows)) is not None]
     if not overruns:
         return
-    subset = _suggest_subset(kernel.relation, checked)
-    raise BoundsError(*(_diagnostic(kernel, access, overrun, subset) for access, overrun in overruns))
+    fitting, subset = _suggest_subsets(kernel.relation, checked)
+    raise BoundsError(*(_diagnostic(kernel, access, overrun, fitting, subset) for access, overrun in overruns))
 
 
 def target_of(node: kir.Affine) -> Relation:
@@ -210,7 +210,9 @@ def open_mesh(slices: Sequence[slice]) -> Coordinates:
 # ---- The error ----
 
 
-def _diagnostic(kernel: kir.Kernel, access: Access, overrun: _Overrun, subset: str | None) -> StencilOutOfBounds:
+def _diagnostic(
+    kernel: kir.Kernel, access: Access, overrun: _Overrun, fitting: str | None, subset: str | None
+) -> StencilOutOfBounds:
     target = target_of(access.node)
     return StencilOutOfBounds(
         kernel=kernel.name,
@@ -222,6 +224,7 @@ def _diagnostic(kernel: kir.Kernel, access: Access, overrun: _Overrun, subset: s
         extent=target.shape[overrun.dimension],
         reach=overrun.reach,
         row=overrun.row,
+        fitting=fitting,
         subset=subset,
     )
 
@@ -263,8 +266,21 @@ def _entries_text(values: Sequence[kir.Entry]) -> str:
     return ", ".join(map(str, values))
 
 
-def _suggest_subset(relation: Relation, accesses: Sequence[Access]) -> str | None:
-    """Code that makes the largest box of rows that can be found for which no access leaves its grid."""
+def _suggest_subsets(relation: Relation, accesses: Sequence[Access]) -> tuple[str | None, str | None]:
+    """The largest subset for which no access leaves its grid, and code that makes one that has more rows than it."""
+    subsets = (found for found in relation._attributes.values() if isinstance(found, Subset) and found.size)  # pyright: ignore[reportPrivateUsage]
+    good = [each for each in subsets if all(_find_overrun(access, each) is None for access in accesses)]
+    fitting = max(good, key=lambda each: each.size, default=None)
+    name = None if fitting is None else f"{relation.name}.{fitting.name}"
+    box = _largest_box(relation, accesses)
+    if box is None or (fitting is not None and fitting.size >= math.prod(last - first for first, last in box)):
+        return name, None
+    slices = ", ".join(_slice_text(run, extent) for run, extent in zip(box, relation.shape, strict=True))
+    return name, f'{relation.name}.new_subset("{_free_name(relation)}", np.s_[{slices}])'
+
+
+def _largest_box(relation: Relation, accesses: Sequence[Access]) -> list[tuple[int, int]] | None:
+    """The largest box of rows that can be found for which no access leaves its grid: start and stop by dimension."""
     good = [np.ones(extent, dtype=np.bool_) for extent in relation.shape]
     whole = open_mesh([slice(0, extent) for extent in relation.shape])
     for access in accesses:
@@ -277,11 +293,7 @@ def _suggest_subset(relation: Relation, accesses: Sequence[Access]) -> str | Non
                 return None
             good[axes[0]] &= ~outside.reshape(-1)
     runs = [_longest_run(mask) for mask in good]
-    if any(first == last for first, last in runs):
-        return None
-    slices = ", ".join(_slice_text(run, extent) for run, extent in zip(runs, relation.shape, strict=True))
-    name = _free_name(relation)
-    return f'{relation.name}.new_subset("{name}", np.s_[{slices}])'
+    return None if any(first == last for first, last in runs) else runs
 
 
 def _longest_run(mask: npt.NDArray[np.bool_]) -> tuple[int, int]:
