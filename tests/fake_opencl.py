@@ -21,6 +21,7 @@ DEVICE = "ebb.runtime.opencl_device"
 
 PROPERTIES: dict[str, Any] = {
     "driver_version": "1.0",
+    "version": "OpenCL 3.0",
     "type": GPU,
     "il_version": "SPIR-V_1.0 SPIR-V_1.6",
     "extensions": "cl_khr_fp64 cl_khr_int64_base_atomics cl_khr_int64_extended_atomics",
@@ -93,11 +94,18 @@ class Kernel:
 
 
 class Program:
-    def __init__(self, context: Context, image: bytes) -> None:
-        self.device = context.device
+    """Code of a device, from SPIR-V or from ``binaries``, which are those of a device by its name."""
 
-    def build(self, options: list[str], devices: list[Device]) -> Program:
-        self.device.call("clBuildProgram")
+    def __init__(self, context: Context, image: Any, binaries: list[bytes] | None = None) -> None:
+        self.device = context.device
+        self.binaries = [f"built for {self.device.name}".encode()]
+        if binaries not in (None, self.binaries):
+            raise Error("clCreateProgramWithBinary", "INVALID_BINARY")
+
+    def build(self, *arguments: Any) -> Program:
+        """Without arguments, there is nothing to compile any more."""
+        if arguments:
+            self.device.call("clBuildProgram")
         return self
 
 

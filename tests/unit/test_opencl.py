@@ -261,6 +261,61 @@ def test_code_that_lacks_a_function(device: Any) -> None:
     assert "missing" in diagnostic.log
 
 
+class Store(dict[str, bytes]):
+    """A cache of code in memory."""
+
+    def put(self, key: str, image: bytes) -> None:
+        self[key] = image
+
+
+def test_what_the_driver_has_compiled_is_kept(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store()
+    monkeypatch.setattr(device, "binaries", store)
+    image = spirv(SCALE, TURN)
+    device.load("both", image, ("scale", "turn"))
+    ((key, binary),) = store.items()
+    assert len(key) == 64
+    assert binary != image
+    scale, turn = device.load("both", image, ("scale", "turn"))
+    source, target = put(device, range(64)), put(device, [0] * 64)
+    device.launch(scale, 1, 64, (source, np.int64(10), np.int8(2)))
+    device.launch(turn, 1, 64, (source, target))
+    assert got(device, target) == [10 * (63 - row) + 2 for row in range(64)]
+    device.load("scale", spirv(SCALE), ("scale",))
+    assert len(store) == 2
+
+
+def test_kept_code_is_not_compiled_again() -> None:
+    store, gpu = Store(), Device("Fake GPU")
+    for _ in range(2):
+        with machine(Platform("Fake Platform", gpu)):
+            fake = opencl_device()
+            fake.binaries = store
+            fake.load("scale", spirv(SCALE), ("scale",))
+        gpu.fails["clBuildProgram"] = "COMPILER_NOT_AVAILABLE"
+
+
+def test_kept_code_of_another_driver_is_compiled_again() -> None:
+    store = Store()
+    for driver in ("1.0", "2.0"):
+        with one_device(driver_version=driver):
+            fake = opencl_device()
+            fake.binaries = store
+            fake.load("scale", spirv(SCALE), ("scale",))
+    assert len(store) == 2
+
+
+def test_kept_code_that_the_driver_refuses_is_compiled_again() -> None:
+    with one_device():
+        fake = opencl_device()
+        fake.binaries = store = Store()
+        fake.load("scale", spirv(SCALE), ("scale",))
+        (key,) = store
+        store[key] = b"of another kind"
+        fake.load("scale", spirv(SCALE), ("scale",))
+        assert store[key] == b"built for Fake GPU"
+
+
 def test_code_of_a_newer_spirv_than_the_device_takes() -> None:
     with one_device(il_version="SPIR-V_1.0"):
         image = bytearray(spirv(SCALE))

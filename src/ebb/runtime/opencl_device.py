@@ -6,8 +6,11 @@ import gc
 import os
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
+from hashlib import blake2b
+from typing import Any, Protocol
 
+import llvmlite.binding as llvm
 import numpy as np
 import pyopencl as cl
 
@@ -15,7 +18,7 @@ from ebb.errors import BackendError
 from ebb.runtime import device
 from ebb.runtime.buffer import Array
 from ebb.runtime.errors_devices import CodeRefused, DeviceFailed, LaunchTooLarge, OutOfDeviceMemory
-from ebb.runtime.opencl import Candidate
+from ebb.runtime.opencl import Candidate, Kind
 
 _NO_MEMORY = (
     cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE,
@@ -65,8 +68,25 @@ class Entry:
         self.prepared = False
 
 
+class CodeStore(Protocol):
+    """What keeps code from one process to the next: the cache of ``ebb.backends``, which may forget anything."""
+
+    def get(self, key: str) -> bytes | None:
+        """The code under ``key``, if it is there."""
+        ...
+
+    def put(self, key: str, image: bytes) -> None:
+        """Keeps code under ``key``, 64 hexadecimal digits."""
+        ...
+
+
 class OpenCLDevice:
-    """A device of OpenCL. ``taken`` is how many bytes of its memory this process holds."""
+    """A device of OpenCL.
+
+    Attributes:
+        taken: how many bytes of its memory this process holds.
+        binaries: what keeps the driver's code for the next process; None if nothing does.
+    """
 
     def __init__(self, candidate: Candidate) -> None:
         self.candidate = candidate
@@ -84,6 +104,8 @@ class OpenCLDevice:
         self._most_bytes = self._handle.max_mem_alloc_size
         exact = self._handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
         self._options = [_EXACT] if exact else []
+        self.binaries: CodeStore | None = None
+        self._identity = _identity(candidate, self._options)
 
     def allocate(self, nbytes: int) -> Memory:
         """As ``Device.allocate``."""
@@ -132,14 +154,26 @@ class OpenCLDevice:
             raise BackendError(CodeRefused(self.name, kernel, log))
         self._check_group(kernel, _required_threads(image), self.candidate.group_size)
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", cl.CompilerWarning)  # what compilers say when all is well
-                program = cl.Program(self.context, image).build(self._options, [self._handle])
+            program = self._program(image)
             return tuple(self._entry(kernel, cl.Kernel(program, entry)) for entry in entries)
         except cl.Error as error:
             if error.code in (*_NO_MEMORY, cl.status_code.DEVICE_NOT_AVAILABLE):
                 raise self._failure(f"loading kernel '{kernel}'", error, len(image)) from error
             raise BackendError(CodeRefused(self.name, kernel, str(error))) from error
+
+    def _program(self, image: bytes) -> cl.Program:
+        """What the driver makes of SPIR-V, or has made of it before: that takes a tenth of the time."""
+        key = blake2b(image, digest_size=32, key=self._identity).hexdigest()
+        binary = None if self.binaries is None else self.binaries.get(key)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", cl.CompilerWarning)  # what compilers say when all is well
+            if binary is not None:
+                with suppress(cl.Error):  # the driver has become another one in spite of its version
+                    return cl.Program(self.context, [self._handle], [binary]).build()
+            program = cl.Program(self.context, image).build(self._options, [self._handle])
+        if self.binaries is not None:
+            self.binaries.put(key, program.binaries[0])
+        return program
 
     def _entry(self, kernel: str, handle: cl.Kernel) -> Entry:
         ask, most = cl.kernel_work_group_info, self.candidate.group_memory
@@ -214,6 +248,17 @@ class OpenCLDevice:
     def _out_of_memory(self, nbytes: int) -> BackendError:
         total, most = self.candidate.memory, self._most_bytes
         return BackendError(OutOfDeviceMemory(self.name, nbytes, self.taken, total, most))
+
+
+def _identity(candidate: Candidate, options: list[str]) -> bytes:
+    """A hash of all that the driver's code depends on besides the kernel: of the processor too, if that is the device.
+
+    A driver calls all processors of a family alike, and users share their folders among machines.
+    """
+    facts: list[object] = [candidate.platform, candidate.driver, candidate.name, candidate.handle.version, options]
+    if candidate.kind is Kind.PROCESSOR:
+        facts += [llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
+    return blake2b(repr(facts).encode()).digest()
 
 
 def _required_threads(image: bytes) -> int:

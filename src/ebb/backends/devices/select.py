@@ -29,6 +29,7 @@ def opencl_backend(device: Any, deterministic: Any, reorder: Any) -> DeviceBacke
 
     _check_switches("opencl", deterministic=deterministic, reorder=reorder)
     chosen = opencl_device(device)
+    chosen.binaries = ObjectCache()  # what the driver makes of SPIR-V, too
     return _backend_of("opencl", chosen, spirv(chosen.lacks), "spirv", cache_directory(), deterministic, reorder)
 
 
