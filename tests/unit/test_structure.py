@@ -34,9 +34,9 @@ ROOMS = (
     "environment",
     "cli",
 )
-IN_ROOM = {"capture": "kernel", "errors": "diagnostics", "launch": "kernel"}
+IN_ROOM = {"capture": "kernel", "errors": "diagnostics", "interop": "kernel", "launch": "kernel"}
 # Not needed to run a program: the command line's packages, and those of the extras.
-LATE = ("rich", "typer", "scipy", "meshio", "pyvista", "pymeshfix", "matplotlib")
+LATE = ("rich", "typer", "scipy", "meshio", "pyvista", "pymeshfix", "matplotlib", "pyopencl", "cuda")
 
 # Only needed on errors, to compile what is not in the cache, or by another backend.
 SLOW = (
@@ -48,10 +48,12 @@ SLOW = (
     "hashlib",
     "logging",
     "subprocess",
+    "ebb.backends.devices",
     "ebb.backends.llvm.emit",
     "ebb.backends.reference",
     "ebb.compiler.explain",
     "ebb.diagnostics.render",
+    "ebb.runtime.opencl",
 )
 
 
