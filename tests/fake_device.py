@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ebb.relations.field import Field
 from ebb.runtime.buffer import Buffer
+from ebb.runtime.threads import launching
 
 
 @dataclass(eq=False)
@@ -85,3 +87,28 @@ class FakeDevice:
         failure, self.failure = self.failure, None
         if failure is not None:
             raise failure
+
+
+def run_on(device, compute, *places, changed=(), overwritten=()):
+    """Launches ``compute`` as a backend does, on the copies of fields and globals: of all, in the order given.
+
+    Args:
+        device: where.
+        compute: takes arrays.
+        places: what is only read.
+        changed: what is written but not all of it.
+        overwritten: what is written without a look at it.
+    """
+    buffers = [each.buffer for each in (*places, *changed, *overwritten)]
+    with launching():
+        memories = [buffer.on(device, overwritten=False) for buffer in buffers[: len(places) + len(changed)]]
+        memories += [each.buffer.on(device, overwritten=True) for each in overwritten]
+        arrays = [memory.values(buffer) for memory, buffer in zip(memories, buffers, strict=True)]
+        for each in changed:
+            each.buffer.changed_on(device)
+        device.launch(lambda: compute(*arrays), 1, 1, ())
+        for each in overwritten:
+            each.buffer.changed_on(device)
+        for each in (*changed, *overwritten):
+            if isinstance(each, Field):
+                each.rewritten()
