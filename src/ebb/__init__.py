@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ebb import interop
 from ebb.backends.select import backend, set_backend
 from ebb.capture import capture
 from ebb.compiler.elaborate.intrinsics import affine, row_at, where
@@ -182,6 +183,7 @@ __all__ = [
     "identity",
     "int32",
     "int64",
+    "interop",
     "inverse",
     "kernel",
     "key",

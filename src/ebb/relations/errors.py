@@ -262,11 +262,11 @@ class ViewOpen(Diagnostic):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return ("while the view is open the memory belongs to the host",)
+        return ("while the view is open its memory belongs to what writes there",)
 
     @property
     def hints(self) -> tuple[str, ...]:
-        return (f"end the block 'with {self.field}.view(write=True) as ...:' first",)
+        return ("end the block 'with ... as ...:' of the view first",)
 
 
 @record

@@ -14,6 +14,7 @@ from ebb.relations.family import Family, join
 from ebb.relations.loading import Place, called_by_row, converted, target_of
 from ebb.runtime.buffer import Array, Buffer
 from ebb.runtime.copies import tell_host_code
+from ebb.runtime.device import Device, current_device
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.living import Living
 from ebb.runtime.recording import refuse
@@ -248,41 +249,73 @@ class Field:
         values = self.to_numpy()
         return values if dtype is None else values.astype(dtype, copy=False)
 
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        """The GPU's memory on the backend ``cuda``, read-only; on others there is no such attribute."""
+        device = _device_of_libraries()
+        if device is None:
+            raise AttributeError(f"kernels do not run on a GPU of NVIDIA's, so {self.path} has no memory there")
+        from ebb.relations.device_view import device_view
+
+        return device_view(self, device).__cuda_array_interface__
+
     def __dlpack__(self, **options: Any) -> Any:
-        """The memory of ``view()`` for another library, as DLPack says: read-only where the consumer knows how."""
+        """The memory that kernels work on for another library, as DLPack says: read-only where the consumer knows how.
+
+        It is the GPU's on the backend ``cuda``, else that of ``view()``.
+        """
+        device = _device_of_libraries()
+        if device is not None and options.get("dl_device") != _ON_HOST:
+            from ebb.relations.device_view import device_view
+
+            return device_view(self, device).__dlpack__(**options)
         if options.get("max_version") is None and target_of(self.type) is None:
             refuse(f"reading {self.path}", "read it when the step has run")
             return self._shaped().__dlpack__(**options)  # older consumers take no read-only memory
         return self.view().__dlpack__(**options)
 
     def __dlpack_device__(self) -> tuple[int, int]:
-        return _ON_HOST
+        device = _device_of_libraries()
+        return _ON_HOST if device is None else device.dlpack_device or _ON_HOST
 
     def __repr__(self) -> str:
         return f"<field {self.path}: {self.type!r}, {self.relation.size} rows>"
 
     @contextmanager
-    def _writable_view(self) -> Generator[Array, None, None]:
-        array = self._shaped()
+    def held(self) -> Generator[None, None, None]:
+        """Within it, launches that touch the field raise; afterwards its values count as changed, wherever they are."""
         self._open_views += 1
-        self.buffer.changed_on_host()
         structure_changed()
         try:
-            yield array
+            yield
         finally:
-            array.flags.writeable = False
             self._open_views -= 1
-            self.changed()
+            self.rewritten()
             structure_changed()
+
+    @contextmanager
+    def _writable_view(self) -> Generator[Array, None, None]:
+        array = self._shaped()
+        with self.held():
+            self.buffer.changed_on_host()
+            try:
+                yield array
+            finally:
+                array.flags.writeable = False
+                self.buffer.changed_on_host()
 
     def _place(self) -> Place:
         return Place(self.path, self.type, self.relation.shape)
 
-    def _shaped(self) -> Array:
-        """A new array object on the memory, in the shape of the relation. Somebody may keep it."""
+    def pin(self) -> None:
+        """Keeps rows and layout as they are from now on, since somebody may keep the memory."""
         self.relation.storage.pinned = True
         if self.target is not None:  # keys show where its rows lie
             self.target.storage.pinned = True
+
+    def _shaped(self) -> Array:
+        """A new array object on the memory, in the shape of the relation."""
+        self.pin()
         return self.data.reshape(self.relation.shape + self.type.shape)
 
     def _load_field(self, source: Field) -> None:
@@ -321,6 +354,12 @@ class Field:
 
 all_fields: Living[Field] = Living()
 """All fields that there are, those too that the compiler has made for itself."""
+
+
+def _device_of_libraries() -> Device | None:
+    """The device that kernels run on, if other libraries can use its memory."""
+    device = current_device()
+    return None if device is None or device.dlpack_device is None else device
 
 
 def _is_function(value: Any) -> bool:
