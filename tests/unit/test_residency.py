@@ -7,13 +7,13 @@ import threading
 
 import numpy as np
 import pytest
-from fake_device import FakeDevice, run_on
 
 import ebb
 from ebb.relations.family import family_of
 from ebb.runtime.buffer import Buffer, Layout
 from ebb.runtime.copies import constant_on, constant_states
 from ebb.runtime.epoch import structure
+from fake_device import FakeDevice, run_on
 
 SIZE = 100
 BYTES = 4 * SIZE
@@ -450,6 +450,27 @@ def test_threads_that_look_at_once_download_once(device, rows) -> None:
             thread.join()
         assert len(set(found)) == 1
         assert device.taken_moves()[-2:].count(DOWN) == 1
+
+
+def test_a_launch_does_not_come_between_a_download_and_the_account_of_it(device, rows, monkeypatch) -> None:
+    run_on(device, increase, changed=[rows.a])
+    launched, usual = threading.Event(), device.download
+
+    def launch():
+        run_on(device, increase, changed=[rows.a])
+        launched.set()
+
+    def slow(source, target):
+        usual(source, target)
+        other.start()
+        launched.wait(0.1)
+
+    other = threading.Thread(target=launch)
+    monkeypatch.setattr(device, "download", slow)
+    rows.a.to_numpy()
+    other.join()
+    monkeypatch.undo()
+    assert rows.a.to_numpy()[0] == 2
 
 
 def test_loads_and_launches_of_several_threads_leave_a_true_state(rows) -> None:

@@ -18,6 +18,7 @@ from ebb.runtime.device import Device, current_device
 from ebb.runtime.epoch import structure_changed
 from ebb.runtime.living import Living
 from ebb.runtime.recording import refuse
+from ebb.runtime.threads import launching
 from ebb.types.types import Type
 
 if TYPE_CHECKING:
@@ -284,8 +285,9 @@ class Field:
     @contextmanager
     def held(self) -> Generator[None, None, None]:
         """Within it, launches that touch the field raise; afterwards its values count as changed, wherever they are."""
-        self._open_views += 1
-        structure_changed()
+        with launching():  # a launch that has not seen it any more is waited for
+            self._open_views += 1
+            structure_changed()
         try:
             yield
         finally:
@@ -295,8 +297,8 @@ class Field:
 
     @contextmanager
     def _writable_view(self) -> Generator[Array, None, None]:
-        array = self._shaped()
         with self.held():
+            array = self._shaped()
             self.buffer.changed_on_host()
             try:
                 yield array

@@ -6,20 +6,21 @@ it, or the host. A transfer that raises leaves its target as it was known: not v
 Machine code on the processor reads and writes the host's copies without asking. So what binds such code makes them
 current, and calls ``host_code_relies``: as long as the structure stays the same, no host's copy may go out of date, and
 no device's come up beside it. What does either says that the structure has changed.
+
+Copies are moved, and become valid and invalid, under ``launching()``: so no launch comes between a download and the
+account of it. Blocks that are on no device need no lock.
 """
 
 from __future__ import annotations
 
-import os
-import threading
 import weakref
-from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from ebb.records import field, record
+from ebb.records import record
 from ebb.runtime.epoch import structure, structure_changed
+from ebb.runtime.threads import launching
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -46,33 +47,24 @@ traffic = Traffic()
 
 
 @record(frozen=False)
-class _Transfers:
-    """What is held while copies move, and the epoch in which host code has come to rely on the host's."""
+class _HostCode:
+    """The epoch in which code on the processor has come to rely on the host's copies."""
 
-    moving: AbstractContextManager[Any] = field(default_factory=threading.RLock)
-    relied: object = None
-
-
-_transfers = _Transfers()
+    epoch: object = None
 
 
-def _after_fork() -> None:
-    _transfers.moving = threading.RLock()  # another thread of the parent may have held it
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+_host_code = _HostCode()
 
 
 def host_code_relies() -> None:
     """Says that what is bound from now on takes the host's copies that it uses for valid, and for the only valid ones
     where it writes them, until the structure changes."""
-    _transfers.relied = structure.epoch
+    _host_code.epoch = structure.epoch
 
 
 def tell_host_code() -> None:
     """Has code on the processor look again which copies are valid, if any relies on what it saw."""
-    if _transfers.relied is structure.epoch:
+    if _host_code.epoch is structure.epoch:
         structure_changed()
 
 
@@ -114,7 +106,7 @@ class Copies:
         Raises:
             BackendError: the device does not give it.
         """
-        with _transfers.moving:
+        with launching():
             if self.is_current:  # another thread was quicker
                 return
             device, held = next(item for item in self._held.items() if item[1].valid)
@@ -129,7 +121,7 @@ class Copies:
         held = self._held.get(device)
         if held is not None and held.valid:
             return held.memory
-        with _transfers.moving:
+        with launching():
             # In the table before its bytes are taken: who changes the host's copy meanwhile then waits, and says so.
             held = self._held.get(device)
             if held is None:
@@ -142,11 +134,11 @@ class Copies:
             return held.memory
 
     def changed_on(self, device: Device) -> None:
-        """Says that the copy that ``on`` gave is the only valid one."""
+        """Says that the copy that ``on`` gave is the only valid one. The caller holds ``launching()`` since then."""
         held = self._held[device]
         if held.valid and not self.is_current and len(self._held) == 1:
             return
-        with _transfers.moving:
+        with launching():
             held.valid = True  # first: one copy is valid, whenever an interrupt comes
             tell_host_code()
             self.is_current = False
@@ -157,7 +149,7 @@ class Copies:
     def changed_on_host(self) -> None:
         """Says that the host's copy is the only valid one."""
         if self._held:
-            with _transfers.moving:
+            with launching():
                 self.is_current = True
                 for held in self._held.values():
                     held.valid = False
@@ -165,7 +157,7 @@ class Copies:
     def overwrite(self, target: npt.NDArray[Any], values: Any) -> None:
         """Sets ``target``, an array on all of the host's copy, to ``values``, without looking at what was there."""
         if self._held:
-            with _transfers.moving:
+            with launching():
                 if self.is_current:
                     self.changed_on_host()
                 target[...] = values  # if this is interrupted while the host's copy is out of date, it still is
@@ -199,7 +191,7 @@ def constant_on(device: Device, array: npt.NDArray[Any]) -> Memory:
     kept = _constants.get(id(array))
     if kept is not None and device in kept[1]:
         return kept[1][device]
-    with _transfers.moving:
+    with launching():
         number = id(array)
         if number not in _constants:
 
