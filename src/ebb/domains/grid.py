@@ -29,7 +29,7 @@ class Grid:
         periodic: for each dimension, whether it wraps.
         boundary_depth: how many layers of elements the boundary has, in each dimension; 0 in periodic ones.
         cells: between vertices. They, like all elements, have ``center`` (also called ``pos``), ``in_boundary`` and
-            ``in_interior``, and the subsets ``interior`` and ``boundary``.
+            ``in_interior``, and the subsets ``interior`` and ``boundary``, ``inside`` and ``walls``.
         vertices: the corners of cells: one more than cells in each dimension, or as many where it is periodic.
         dual_cells: between the centres of neighbouring cells: one less than cells in each dimension, or as many where
             it is periodic.

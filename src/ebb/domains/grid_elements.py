@@ -84,6 +84,7 @@ def make_relations(geometry: Geometry) -> Mapping[Kind, ebb.Relation]:
     for kind, relation in relations.items():
         _add_center(relation, kind, geometry)
         _add_boundary(relation, geometry)
+        _add_walls(relation, kind, geometry)
         _add_offset(relation, "__call__", relation)
         _add_clamped(relation)
         for other, target in relations.items():
@@ -135,13 +136,24 @@ def _add_boundary(relation: ebb.Relation, geometry: Geometry) -> None:
     def in_boundary(c: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
         return ebb.any(ebb.coords(c) < low) or ebb.any(ebb.coords(c) >= high)
 
+    _add_subsets(relation, "interior", "boundary", inside)
+
+
+def _add_walls(relation: ebb.Relation, kind: Kind, geometry: Geometry) -> None:
+    """The subsets ``walls``, what lies where the domain ends, and ``inside``, what has cells on all sides."""
+    walls = [int(p and not w and not kind.dual) for p, w in zip(kind.points, geometry.periodic, strict=True)]
+    _add_subsets(relation, "inside", "walls", [(d, n - d) for d, n in zip(walls, relation.shape, strict=True)])
+
+
+def _add_subsets(relation: ebb.Relation, inner: str, outer: str, box: Sequence[tuple[int, int]]) -> None:
+    """The subset ``inner`` of a box, from the first to the last index along each axis, and ``outer`` of the rest."""
     whole = tuple(slice(0, n) for n in relation.shape)
     layers: list[tuple[slice, ...]] = [(slice(0, 0), *whole[1:])]
-    for axis, (first, last) in enumerate(inside):
+    for axis, (first, last) in enumerate(box):
         for layer in (slice(0, first), slice(last, relation.shape[axis])):
             layers.append((*whole[:axis], layer, *whole[axis + 1 :]))
-    relation.new_subset("interior", tuple(slice(first, last) for first, last in inside))
-    relation.new_subset("boundary", layers)
+    relation.new_subset(inner, tuple(slice(first, last) for first, last in box))
+    relation.new_subset(outer, layers)
 
 
 # ---- What lies around them ----
