@@ -12,7 +12,8 @@ import pytest
 from fake_cuda_driver import CONTEXT, OTHER_CONTEXT, CUresult, FakeDriver
 
 import ebb
-from ebb.runtime.cuda import MOST_GROUPS, CudaDevice, cuda_device, describe_devices
+from ebb.runtime.cuda import cuda_device, describe_devices
+from ebb.runtime.cuda_device import MOST_GROUPS, CudaDevice
 
 PTX = b"""
 .version 7.0
