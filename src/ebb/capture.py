@@ -57,7 +57,7 @@ class Step:
         self._replay: Replay | None = None
 
     def run(self, n: int = 1) -> None:
-        """Runs what was recorded ``n`` times, in the order in which it was recorded, and waits for it.
+        """Runs what was recorded ``n`` times, in the order in which it was recorded; on devices it is queued.
 
         The results are those of the launches themselves. Captured numbers and parameters have the values that they had
         when they were recorded; fields, globals and random numbers are what they are when the step runs.

@@ -62,7 +62,7 @@ class Bound(Protocol):
     """A kernel on one set of rows, with all that stays as it is until the structure changes put in place."""
 
     def run(self, uniforms: Sequence[Any]) -> None:
-        """Runs the kernel and waits until its effects can be seen. The caller holds ``launching()``.
+        """Runs the kernel, or queues it on a device: who looks at data waits. The caller holds ``launching()``.
 
         Fields may have been swapped since the kernel was bound, and their values changed; nothing else.
 
