@@ -45,6 +45,7 @@ def doubling(rows: ebb.Relation) -> ebb.Kernel:
 
 
 @pytest.mark.skipif(lacking("opencl") is not None, reason="there is no OpenCL")
+@pytest.mark.filterwarnings("ignore:Non-empty compiler output")
 class TestOpenCL:
     @pytest.fixture(autouse=True)
     def on_opencl(self) -> Iterator[None]:

@@ -41,7 +41,8 @@ class DeviceView:
     """
 
     def __init__(self, field: Field, device: Device) -> None:
-        """The caller holds ``launching()``."""
+        """The field keeps rows and layout from now on. The caller holds ``launching()``."""
+        field.pin()
         self.memory: Any = field.buffer.on(device)
         rows, components = field.relation.shape, field.type.shape
         step, *within = field.buffer.strides
@@ -128,10 +129,8 @@ def device_view(field: Field, device: Device) -> DeviceView:
         RelationError: a writable view of the field is open.
         BackendError: a step is being captured, or the device has no room.
     """
-    refuse(f"taking a view of {field.path}", "take it before the with statement, or when the step has run")
+    _check(field)
     with launching():
-        field.check_no_view()
-        field.pin()
         return DeviceView(field, device)
 
 
@@ -145,10 +144,11 @@ def writable_device_view(field: Field, device: Device) -> Generator[DeviceView, 
     """
     if field.target is not None:
         raise RelationError(KeysNotWritable(field.path))
-    view = device_view(field, device)
-    buffer = field.buffer
+    _check(field)
     with field.held():
-        buffer.changed_on(device)
+        with launching():
+            view, buffer = DeviceView(field, device), field.buffer
+            buffer.changed_on(device)
         view.writable = True
         try:
             yield view
@@ -156,3 +156,8 @@ def writable_device_view(field: Field, device: Device) -> Generator[DeviceView, 
             view.writable = False
             with launching():
                 buffer.changed_on(device)  # again: the host may have looked meanwhile
+
+
+def _check(field: Field) -> None:
+    refuse(f"taking a view of {field.path}", "take it before the with statement, or when the step has run")
+    field.check_no_view()
