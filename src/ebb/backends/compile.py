@@ -11,7 +11,7 @@ from typing import Any
 import ebb.backends.llvm as emitter
 from ebb.backends import target as targets
 from ebb.backends.cache import ObjectCache, key_of
-from ebb.backends.target import Form, Target
+from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify, lir_walk
 from ebb.compiler.pipeline import dump, log_time
 from ebb.errors import BackendError
@@ -40,16 +40,10 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
         start = time.perf_counter()
         module = _module(program, target)
         dump(program.name, "optimize", lambda: str(module))
-        image = _image(module, target)
+        image = target.image(module)
         log_time(program.name, "compiling", start)
         cache.put(key, image)
     return image
-
-
-def _image(module: Any, target: Target) -> bytes:
-    if target.form is Form.PTX:  # which the driver compiles
-        return target.machine.emit_assembly(module).encode()
-    return bytes(target.machine.emit_object(module))
 
 
 def replay_code(target: Target, cache: ObjectCache) -> bytes:
@@ -78,8 +72,7 @@ def llvm_text(program: lir.Program, target: Target) -> str:
 
 def assembly_text(program: lir.Program, target: Target) -> str:
     """``program`` in the target's assembly language."""
-    text: str = target.machine.emit_assembly(_module(program, target))
-    return text
+    return target.assembly(_module(program, target))
 
 
 def needs(program: lir.Program) -> frozenset[Feature]:

@@ -59,14 +59,27 @@ class Target:
         Raises:
             BackendError: LLVM has no code generator for it.
         """
-        # LLVM's machine for SPIR-V remembers the types of the module that it has emitted: it is good for one.
-        return _new_machine(self) if self.form is Form.SPIRV else _machine(self)
+        return _machine(self)
 
     def image(self, module: Any) -> bytes:
         """What the machine takes of an LLVM module."""
-        if self.form is Form.PTX:
-            return str(self.machine.emit_assembly(module)).encode()
-        return bytes(self.machine.emit_object(module))
+        match self.form:
+            case Form.OBJECT:
+                return bytes(self.machine.emit_object(module))
+            case Form.PTX:
+                return self.assembly(module).encode()
+            case Form.SPIRV:
+                from ebb.backends.llvm.spirv_code import spirv_binary
+
+                return spirv_binary(module)
+
+    def assembly(self, module: Any) -> str:
+        """An LLVM module in the machine's assembly language."""
+        if self.form is Form.SPIRV:
+            from ebb.backends.llvm.spirv_code import spirv_text
+
+            return spirv_text(module)
+        return str(self.machine.emit_assembly(module))
 
     @property
     def fingerprint(self) -> str:
@@ -137,10 +150,6 @@ def nvptx(capability: int) -> Target:
 
 @cache
 def _machine(target: Target) -> Any:
-    return _new_machine(target)
-
-
-def _new_machine(target: Target) -> Any:
     if target.form is not Form.OBJECT:
         _initialize_devices()
     try:
@@ -153,9 +162,6 @@ def _new_machine(target: Target) -> Any:
 
 @cache
 def _initialize_devices() -> None:
-    """Sets up LLVM's other code generators, and lets SPIR-V have what OpenCL needs an extension for."""
-    from ebb.backends.llvm.spirv import EXTENSIONS
-
-    llvm.set_option("ebb", f"--spirv-ext={','.join(f'+{name}' for name in EXTENSIONS)}")
+    """Sets up LLVM's other code generators."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()

@@ -216,7 +216,7 @@ def _is_byte(scalar: ScalarType) -> bool:
 def _call(w: FunctionWriter, call: Call) -> str:
     convention = "" if call.name.startswith("llvm.") else w.hooks.convention
     operands = call.operands.partition(" ")[0]
-    w.declare(f"{convention}{call.type} @{call.name}({operands}) nounwind")
+    w.declare(f"{convention}{call.type} @{call.name}({operands}){call.attributes}")
     instruction = f"call {convention}{call.type} @{call.name}({call.operands})"
     if call.type == "void":
         w.do(instruction)

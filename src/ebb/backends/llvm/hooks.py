@@ -23,6 +23,10 @@ NOT_ALWAYS_RIGHT = frozenset({"llvm.minimum", "llvm.maximum", "llvm.fptosi.sat",
 """The intrinsics that need not be the target's: what they do is said in plain instructions as well."""
 
 
+PURE = " nounwind willreturn memory(none)"
+"""The attributes of a function that depends on its operands alone and does nothing else."""
+
+
 class Strips(Enum):
     """Whether loops run several turns at once, in vectors of the emitter's own making."""
 
@@ -39,11 +43,13 @@ class Call:
         type: what it returns.
         name: of the function.
         operands: literals with their types, or nothing.
+        attributes: of the function.
     """
 
     type: str
     name: str
     operands: str = ""
+    attributes: str = " nounwind"
 
 
 @record

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ebb.backends.llvm import ops
+from ebb.backends.llvm.hooks import PURE
 from ebb.backends.llvm.transpose import LANES
 from ebb.backends.llvm.writer import FunctionWriter
 from ebb.records import record
@@ -134,7 +135,7 @@ class LaneWriter:
         for form in self.w.hooks.vector_math.get((function, scalar.bits), ()):
             if form.lanes == LANES:
                 t = wide_type(scalar)
-                self.w.declare(f"{t} @{form.symbol}({', '.join([t] * len(operands))}){ops.PURE}")
+                self.w.declare(f"{t} @{form.symbol}({', '.join([t] * len(operands))}){PURE}")
                 return self.w.emit(f"call{self.flags} {t} @{form.symbol}({', '.join(f'{t} {x}' for x in operands)})")
         return self.call(self.w.hooks.math[function].removesuffix(".{type}"), scalar, operands, self.flags)
 

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from ebb.backends.llvm.hooks import Hooks
+from ebb.backends.llvm.hooks import PURE, Hooks
 from ebb.backends.llvm.vector_math import VectorForm
 from ebb.types.types import Kind, ScalarType
 
@@ -37,10 +37,6 @@ class Writer(Protocol):
     def define(self, name: str, text: str) -> None:
         """Makes the module define a function of its own."""
         ...
-
-
-PURE = " nounwind willreturn memory(none)"
-"""The attributes of a function that depends on its operands alone and does nothing else."""
 
 
 def llvm_type(scalar: ScalarType) -> str:

@@ -5,7 +5,7 @@ LLVM knows the functions by OpenCL's mangled names: ``_Z3sinf`` is ``sin`` of a 
 
 from __future__ import annotations
 
-from ebb.backends.llvm.hooks import INTRINSICS, NOT_ALWAYS_RIGHT, Call, Groups, Hooks, Strips
+from ebb.backends.llvm.hooks import INTRINSICS, NOT_ALWAYS_RIGHT, PURE, Call, Groups, Hooks, Strips
 from ebb.records import replace
 
 TRIPLE = "spirv64-unknown-unknown"
@@ -32,10 +32,10 @@ _GROUPS = Groups(
     kernel="spir_kernel",
     global_memory=" addrspace(1)",
     group_memory=" addrspace(3)",
-    thread=Call("i64", "_Z12get_local_idj", "i32 0"),
-    group=Call("i64", "_Z12get_group_idj", "i32 0"),
-    groups=Call("i64", "_Z14get_num_groupsj", "i32 0"),
-    barrier=Call("void", "_Z7barrierj", _LOCAL_FENCE),
+    thread=Call("i64", "_Z12get_local_idj", "i32 0", PURE),
+    group=Call("i64", "_Z12get_group_idj", "i32 0", PURE),
+    groups=Call("i64", "_Z14get_num_groupsj", "i32 0", PURE),
+    barrier=Call("void", "_Z7barrierj", _LOCAL_FENCE, " convergent nounwind"),
     scope=' syncscope("device")',
     float_adds=frozenset(),
     atomic_bits=32,

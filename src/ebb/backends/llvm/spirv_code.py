@@ -1,0 +1,93 @@
+"""SPIR-V of LLVM modules, by the process of ``spirv_translator``, which is started when it is first needed."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import subprocess
+import sys
+import threading
+from typing import Any
+
+from ebb.backends.llvm import spirv_translator
+from ebb.backends.llvm.spirv import EXTENSIONS
+from ebb.backends.llvm.spirv_translator import ANSWER, BINARY, REQUEST, TEXT
+from ebb.compiler.kir_verify import CompilerBug
+
+
+class Untranslated(CompilerBug):
+    """LLVM does not translate the module: a fault of the compiler, never of the user."""
+
+
+class _Translator:
+    """A process that translates, and what is asked of it, one thread after the other."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner = 0
+
+    def translated(self, kind: bytes, module: Any) -> bytes:
+        """What becomes of ``module``.
+
+        Raises:
+            Untranslated: nothing.
+        """
+        bitcode: bytes = module.as_bitcode()
+        with self._lock:
+            done, answer = self._ask(REQUEST.pack(kind, len(bitcode)) + bitcode)
+        if not done:
+            raise Untranslated(f"{answer.decode(errors='replace').strip() or 'the translator ended'}\n{module}")
+        return answer
+
+    def end(self) -> None:
+        """Ends the process, if this one has started it."""
+        process, self._process = self._process, None
+        if process is not None and self._owner == os.getpid():
+            process.communicate()
+
+    def _ask(self, request: bytes) -> tuple[bool, bytes]:
+        process = self._running()
+        assert process.stdin is not None and process.stdout is not None
+        whole = False
+        try:
+            process.stdin.write(request)
+            process.stdin.flush()
+            header = process.stdout.read(ANSWER.size)
+            if len(header) < ANSWER.size:
+                return False, b""
+            done, size = ANSWER.unpack(header)
+            answer = process.stdout.read(size)
+            whole = len(answer) == size
+            return done and whole, answer
+        finally:
+            if not whole:  # interrupted, or it ended: the next request must not get this one's answer
+                process.kill()
+                self.end()
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        """The process; another one in a process that was forked from its owner, or where it has ended."""
+        if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
+            extensions = ",".join(f"+{name}" for name in EXTENSIONS)
+            command = [sys.executable, "-I", "-S", spirv_translator.__file__, extensions, *filter(None, sys.path)]
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            self._owner = os.getpid()
+        return self._process
+
+
+_translator = _Translator()
+atexit.register(_translator.end)
+
+
+def spirv_binary(module: Any) -> bytes:
+    """``module`` as SPIR-V.
+
+    Raises:
+        Untranslated: LLVM does not translate it.
+    """
+    return _translator.translated(BINARY, module)
+
+
+def spirv_text(module: Any) -> str:
+    """``module`` as the assembly text of SPIR-V; it raises what ``spirv_binary`` does."""
+    return _translator.translated(TEXT, module).decode()
