@@ -136,6 +136,29 @@ def test_attributes_are_not_assigned(vertices: Relation) -> None:
         assert codes(caught) == ("E516",)
 
 
+class Stack(Relation):
+    """A relation with a method and a slot of its own, as domains make them."""
+
+    __slots__ = ("height",)
+
+    def top(self) -> int:
+        return self.size - 1
+
+
+def test_a_derived_relation() -> None:
+    stack = Stack("stack", size=3)
+    with pytest.raises(AttributeError):
+        _ = stack.height
+    stack.height = 2.5
+    field = stack.new_field("pos", vec3f)
+    assert (stack.height, stack.top(), stack.pos) == (2.5, 2, field)
+    for name in ("height", "top", "size"):
+        with pytest.raises(RelationError):
+            setattr(stack, name, 1)
+        with pytest.raises(RelationError, match="E502"):
+            stack.new_field(name, float32)
+
+
 def test_a_relation_stands_for_its_key_type(vertices: Relation) -> None:
     assert as_type(vertices) == key(vertices) == vertices.key_type
     assert vertices.key_type != Relation("vertices", size=4).key_type

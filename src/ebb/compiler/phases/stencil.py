@@ -311,5 +311,5 @@ def _slice_text(run: tuple[int, int], extent: int) -> str:
 
 
 def _free_name(relation: Relation) -> str:
-    names = ("interior", "inside", *(f"inside_{number}" for number in range(2, 1000)))
+    names = ("interior", "inside", "within", *(f"within_{number}" for number in range(2, 1000)))
     return next(name for name in names if relation.attribute(name) is None)
