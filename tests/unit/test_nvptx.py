@@ -107,6 +107,21 @@ def test_products_and_sums_are_fused() -> None:
     assert "fma.rn.f32" in ptx_of(fuse, rows)
 
 
+def test_rows_of_sixteen_bytes_are_moved_whole() -> None:
+    for type_, instruction in ((ebb.vec4f, "v4.b32"), (ebb.vec2d, "v2.b64"), (ebb.vec2f, "v2.b32")):
+        rows = rows_of(type_)
+
+        @ebb.kernel
+        def add(r: rows):
+            r.z = r.x + r.y
+
+        assert re.findall(r"\b(?:ld|st)\.global\S*", ptx_of(add, rows)) == [
+            f"ld.global.nc.{instruction}",
+            f"ld.global.nc.{instruction}",
+            f"st.global.{instruction}",
+        ]
+
+
 @pytest.mark.parametrize("capability", CAPABILITIES)
 def test_minima_propagate_nan(capability: int) -> None:
     rows = rows_of(ebb.float32)

@@ -13,6 +13,7 @@ from ebb.backends.llvm.hooks import Call, Groups
 from ebb.backends.llvm.statements import StatementEmitter
 from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
+from ebb.runtime.buffer import ALIGNMENT
 from ebb.runtime.device import (
     FAILURE_CAPACITY,
     FAILURE_CHUNK,
@@ -81,7 +82,8 @@ class _KernelEmitter(StatementEmitter):
             if type_ == "ptr":
                 number = parameter.removeprefix("slot")
                 reads = number != parameter and access[int(number)] is lir.Access.READ
-                type_ = f"ptr{self.memory} noalias{' readonly' if reads else ''}"
+                # Aligned, so that the components of a row are loaded together where they fill 8 or 16 bytes.
+                type_ = f"ptr{self.memory} noalias align {ALIGNMENT}{' readonly' if reads else ''}"
             signature.append(f"{type_} %{parameter}")
         size = {"group_size": self.program.group_size}
         notes = [f"!{kind} {self.module.note(note.format(**size))}" for kind, note in self.groups.notes.items()]
