@@ -1,0 +1,64 @@
+"""The examples at small sizes, a step at a time."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import ebb
+from ebb.domains import TetMesh, TriMesh
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+
+import heat
+import rendermesh
+import spring_mass
+from bodies import Body
+
+Example = tuple[Callable[[int], object], tuple[ebb.Relation, ...]]
+"""What advances an example and gives the numbers that it prints, and the relations that it keeps its state in."""
+
+
+def falling_body() -> Example:
+    skin = TriMesh.icosphere(1, 0.5)
+    body = Body("ball", TetMesh.from_surface(skin, resolution=3), skin)
+    spring_mass.prepare(body, 0.01)
+    body.solid.vertices.qd.load([0.3, 0.0, -1.0])
+    dt = spring_mass.stable_step(body.solid)
+
+    def step(number: int) -> object:
+        spring_mass.step(body.solid, dt)
+        spring_mass.surface(body)
+        energy = spring_mass.measure(body.solid)
+        return energy.kinetic, energy.elastic, energy.height
+
+    return step, (body.solid.vertices, body.solid.edges, body.solid.tetrahedra, body.skin.vertices)
+
+
+def heated_torus() -> Example:
+    mesh = TriMesh.torus(1, 0.4, 8, 5)
+    heat.prepare(mesh, np.random.default_rng(2).random(mesh.vertices.size))
+    dt = heat.stable_step(mesh, 1.0)
+    return lambda number: (heat.step(mesh, dt, 1.0), *heat.totals(mesh)), (mesh.vertices, mesh.edges, mesh.triangles)
+
+
+def twisted_torus() -> Example:
+    skin = TriMesh.torus(1.0, 0.4, 8, 5)
+    solid = TetMesh.from_surface(skin, resolution=4)
+    rendermesh.couple(skin, solid)
+
+    def step(number: int) -> object:
+        rendermesh.deform(skin, solid, 0.05 * number)
+        return rendermesh.distance(skin)
+
+    return step, (skin.vertices, solid.vertices)
+
+
+EXAMPLES: dict[str, Callable[[], Example]] = {
+    "spring_mass": falling_body,
+    "heat": heated_torus,
+    "rendermesh": twisted_torus,
+}
