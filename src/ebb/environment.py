@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
@@ -15,7 +16,7 @@ from ebb.backends.cache import cache_directory, cache_limit, cache_usage
 from ebb.backends.select import BACKENDS
 from ebb.errors import BackendError
 from ebb.relations.table import memory
-from ebb.runtime.opencl import describe_devices
+from ebb.runtime import cuda, opencl
 from ebb.runtime.opencl_runtime import HAS_WHEEL
 from ebb.runtime.threads import describe_threads, thread_count
 
@@ -31,6 +32,8 @@ _EXTRAS = {
     "cuda": ("cuda-bindings", "nvidia-cuda-nvcc-cu12"),
 }
 
+_DEVICES = {"opencl": opencl.describe_devices, "cuda": cuda.describe_devices}
+
 
 def describe_environment() -> tuple[tuple[str, str], ...]:
     """Names and values, a row each."""
@@ -44,7 +47,7 @@ def describe_environment() -> tuple[tuple[str, str], ...]:
         ("threads", _threads()),
         ("cache", _cache()),
         *((f"backend {name}", _backend(name)) for name in BACKENDS),
-        *(("opencl device", device) for device in _opencl_devices()),
+        *((f"{backend} device", device) for backend, describe in _DEVICES.items() for device in _devices(describe)),
         *((f"extra {extra}", _extra(extra)) for extra in _EXTRAS),
     )
 
@@ -83,10 +86,10 @@ def _backend(name: str) -> str:
     return "available"
 
 
-def _opencl_devices() -> tuple[str, ...]:
-    """The devices; where pyopencl is missing, the row of the backend says so."""
+def _devices(describe: Callable[[], tuple[str, ...]]) -> tuple[str, ...]:
+    """The devices of a backend; where it cannot be asked, the row of the backend says why."""
     try:
-        return describe_devices()
+        return describe()
     except BackendError:
         return ()
 

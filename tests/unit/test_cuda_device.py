@@ -12,6 +12,7 @@ import pytest
 from fake_cuda_driver import CONTEXT, OTHER_CONTEXT, CUresult, FakeDriver
 
 import ebb
+from ebb.environment import describe_environment
 from ebb.runtime.cuda import cuda_device, describe_devices
 from ebb.runtime.cuda_device import MOST_GROUPS, CudaDevice
 
@@ -267,6 +268,13 @@ def test_a_device_is_opened_once(installed) -> None:
     assert cuda_device(1) is not cuda_device(0)
     assert cuda_device(1).dlpack_device == (2, 1)
     assert describe_devices() == ("0: Fake 0, 0.1 GiB", "1: Fake 1, 0.1 GiB")
+
+
+def test_ebb_info_lists_them(installed) -> None:
+    installed(FakeDriver(count=2))
+    lines = describe_environment()
+    assert ("backend cuda", "available") in lines
+    assert [text for title, text in lines if title == "cuda device"] == ["0: Fake 0, 0.1 GiB", "1: Fake 1, 0.1 GiB"]
 
 
 @pytest.mark.parametrize("choice", [2, -1, True, "0", 0.0])
