@@ -31,9 +31,8 @@ NVPTX = Hooks(
     },
     convention="",
     missing=frozenset(),
-    # Exactly so many threads, and one group is enough for a multiprocessor: so ptxas gives a thread the registers that
-    # it asks for. By the number of threads alone, it writes some of them to memory although there are more.
-    attributes='nounwind "nvvm.reqntid"="{group_size}" "nvvm.minctasm"="1"',
+    # Exactly so many threads: ptxas gives each as many registers as there are for so many.
+    attributes='nounwind "nvvm.reqntid"="{group_size}"',
     strips=Strips.NONE,
     vector_math={},
     groups=Groups(
