@@ -35,7 +35,7 @@ def grouped_source(kernel, relation, *arguments):
 def rows_with(**fields):
     relation = Relation("rows", size=3)
     for name, type_ in fields.items():
-        relation.new_field(name, type_, init=None if name != "key" else 0)
+        relation.new_field(name, type_, init=0)
     return relation, OnRows(relation)
 
 
