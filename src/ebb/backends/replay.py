@@ -127,8 +127,8 @@ class Replay:
             case RunKernel(Binding() as binding, uniforms):
                 self._add_launch(binding, uniforms)
             case RunKernel(Bindings(bindings=bindings), uniforms):
-                for binding in bindings:
-                    self._add_launch(binding, uniforms)
+                for bound in bindings:
+                    self._add(RunKernel(bound, uniforms))
             case RunKernel(NoRows(draws=draws)):
                 if draws:
                     self._add_row(Kind.DRAW)

@@ -23,7 +23,7 @@ from ebb.records import record, replace
 from ebb.relations.field import Field
 from ebb.relations.inverse import hidden_index, index_keys
 from ebb.relations.relation import Relation
-from ebb.runtime.buffer import Array
+from ebb.runtime.buffer import Array, Buffer
 from ebb.types.arithmetic import identity_of
 from ebb.types.types import int32, matrix, vector
 
@@ -112,9 +112,11 @@ def _outside_loops(body: kir.Body) -> list[kir.Stmt]:
 
 def _stage(relation: Relation, field: Field, parts: tuple[kir.ReduceField, ...]) -> Stage:
     count, shape, scalar = len(parts), field.type.shape, field.type.scalar
-    place = Field(relation, f"{field.name}_given", matrix(scalar, count, *shape) if shape else vector(scalar, count))
+    of_all = matrix(scalar, count, *shape) if shape else vector(scalar, count)
+    buffer = Buffer((relation.size, *of_all.shape), of_all.dtype)
+    place = Field(relation, f"{field.name}_given", of_all, buffer)
     rows = Relation(f"{relation.name}_given", size=relation.size * count)
-    contributions = Field(rows, field.name, field.type, place.buffer.reshaped((rows.size, *shape)))
+    contributions = Field(rows, field.name, field.type, buffer.reshaped((rows.size, *shape)))
     index = hidden_index(rows, "target", field.relation)
     return Stage(field, parts[0].op, parts, place, contributions, index)
 
