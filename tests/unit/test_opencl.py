@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 import ebb
+from ebb.backends.llvm.spirv_code import spirv_binary
 from ebb.runtime import opencl, opencl_runtime
 from ebb.runtime.device import Feature
 from ebb.runtime.opencl import describe_devices, opencl_device
@@ -72,12 +74,10 @@ def device() -> Any:
     return opencl_device()
 
 
+@cache
 def spirv(*kernels: str) -> bytes:
     """What LLVM makes of kernels."""
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    target = llvm.Target.from_triple("spirv64-unknown-unknown")
-    return target.create_target_machine(opt=2).emit_object(llvm.parse_assembly("".join((HEADER, *kernels))))
+    return spirv_binary(llvm.parse_assembly("".join((HEADER, *kernels))))
 
 
 def put(device: Any, numbers: Any) -> Any:
