@@ -17,6 +17,7 @@ from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import ParameterType
 from ebb.compiler.inputs import Inputs
 from ebb.compiler.pace import pace_of
+from ebb.compiler.phases.residency import overwritten
 from ebb.records import field, record
 from ebb.relations.field import Field
 from ebb.relations.layout import consider_layout
@@ -79,7 +80,17 @@ class Specialisation:
 class Launch:
     """A specialisation on a set of rows for which its stencil has been checked."""
 
-    __slots__ = ("_bound", "_epoch", "_runs", "_written_keys", "_written_values", "rows", "specialisation", "take")
+    __slots__ = (
+        "_bound",
+        "_epoch",
+        "_runs",
+        "_set_keys",
+        "_written_keys",
+        "_written_values",
+        "rows",
+        "specialisation",
+        "take",
+    )
 
     def __init__(self, specialisation: Specialisation, rows: RowSet) -> None:
         self.specialisation = specialisation
@@ -87,6 +98,7 @@ class Launch:
         self.take = specialisation.inputs.take
         self._written_values = [each for each in specialisation.written if not each.holds_keys]
         self._written_keys = [each for each in specialisation.written if each.holds_keys]
+        self._set_keys = self._keys_set()
         self._bound: Bound | None = None
         self._epoch: object = None
         self._runs = 0
@@ -110,6 +122,8 @@ class Launch:
                 bound.run(uniforms)
             finally:
                 self.note_changes()
+            for keys in self._set_keys:
+                keys.all_set()
 
     @property
     def bound(self) -> Bound:
@@ -123,6 +137,13 @@ class Launch:
             values.version += 1
         for keys in self._written_keys:
             keys.rewritten()
+
+    def _keys_set(self) -> list[Field]:
+        """The key fields of which no key is unset any more once the kernel has run for all of its rows."""
+        checked = self.specialisation.checked
+        if not self._written_keys or self.rows.size < self.rows.relation.size:
+            return []
+        return [each for each in overwritten(checked.kernel, checked.phases) if each.holds_keys]
 
     def _settle_or_record(self, uniforms: Sequence[Any]) -> Bound | None:
         """What to run, or None where the launch was taken down for a step instead."""

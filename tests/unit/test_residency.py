@@ -344,6 +344,33 @@ def test_only_the_host_finds_out_whether_keys_are_unset(device, rows) -> None:
     assert keys.maybe_unset
 
 
+def test_no_key_is_unset_where_a_kernel_has_written_all(device, rows, backend) -> None:
+    keys = rows.new_field("key", rows)
+    rows.new_subset("most", np.s_[1:])
+
+    @ebb.kernel
+    def refer(row: rows):
+        row.key = row
+
+    @ebb.kernel
+    def refer_if(row: rows):
+        assert row.a < 50
+        row.key = row
+
+    refer(rows.most)
+    run_on(device, lambda keys: None, changed=[keys])
+    assert keys.maybe_unset
+    with pytest.raises(ebb.KernelAssertionError):
+        refer_if(rows)
+    run_on(device, lambda keys: None, changed=[keys])
+    assert keys.maybe_unset
+    refer(rows)
+    run_on(device, lambda keys: None, changed=[keys])
+    device.taken_moves()
+    assert not keys.maybe_unset
+    assert device.taken_moves() == []
+
+
 # Captured steps
 
 

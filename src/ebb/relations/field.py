@@ -128,6 +128,10 @@ class Field:
                 self._unset = None
             structure_changed()
 
+    def all_set(self) -> None:
+        """Says that a kernel has written every key, so that nobody has to look for some that are unset."""
+        self._unset = False
+
     def load(self, value: Any) -> None:
         """Sets the values of all rows. A load that fails changes nothing.
 
