@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from importlib.machinery import ModuleSpec
+from importlib.util import module_from_spec
 from types import ModuleType, SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -136,7 +138,7 @@ def enqueue(routine: str) -> Any:
 
 def module() -> ModuleType:
     """The module ``pyopencl`` itself."""
-    made = ModuleType("pyopencl")
+    made = module_from_spec(ModuleSpec("pyopencl", None))
     vars(made).update(
         Error=Error,
         CompilerWarning=UserWarning,

@@ -17,10 +17,11 @@ import pytest
 
 import ebb
 from ebb.backends.llvm.spirv_code import spirv_binary
+from ebb.environment import describe_environment
 from ebb.runtime import opencl, opencl_runtime
 from ebb.runtime.device import Feature
 from ebb.runtime.opencl import describe_devices, opencl_device
-from fake_opencl import CPU, GPU, Device, Platform, imported, machine, module, one_device
+from fake_opencl import CPU, GPU, Device, Platform, imported, machine, module, one_device, without_pyopencl
 
 if not opencl_runtime.HAS_WHEEL:
     try:
@@ -474,6 +475,24 @@ def test_platforms_without_devices_are_listed() -> None:
         assert describe_devices()[1] == "none of the platform Idle"
     with machine(Platform("Idle")):
         assert raised(opencl_device).title.endswith("no OpenCL platform has a device")
+
+
+@pytest.mark.usefixtures("four")
+def test_info_lists_devices_and_what_they_lack() -> None:
+    devices = [value for name, value in describe_environment() if name == "opencl device"]
+    assert [device.split(":")[0] for device in devices] == ["0", "1", "2", "3"]
+    assert devices[2] == (
+        "2: Intel(R) Arc(TM) A770 (Intel(R) OpenCL, driver 1.0), GPU, 1.0 GiB, work-groups of up to 256 threads that "
+        "share 64 KiB; lacks ebb.float64, atomic operations on 64-bit integers, atomic minima of ebb.float32, "
+        "atomic addition of ebb.float64, atomic minima of ebb.float64"
+    )
+
+
+def test_info_without_pyopencl() -> None:
+    with without_pyopencl():
+        rows = describe_environment()
+    assert "opencl device" not in dict(rows)
+    assert dict(rows)["backend opencl"].startswith("not available: the backend 'opencl' needs the package 'pyopencl'")
 
 
 def test_this_machine_has_a_device_that_lacks_nothing() -> None:
