@@ -13,6 +13,7 @@ from ebb.backends.llvm.hooks import Call, Groups
 from ebb.backends.llvm.statements import StatementEmitter
 from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
+from ebb.compiler.lir_walk import statements
 from ebb.runtime.buffer import ALIGNMENT
 from ebb.runtime.device import (
     FAILURE_CAPACITY,
@@ -47,7 +48,7 @@ def write_kernels(program: lir.Program, module: ModuleWriter) -> None:
     for entry, body in zip(program.entries, (program.block, program.finish), strict=False):
         kernel = _KernelEmitter(program, module, module.hooks.groups)
         kernel.body(body)
-        kernel.finish(entry)
+        kernel.finish(entry, loops=any(isinstance(stmt, lir.For | lir.While) for stmt in statements(body)))
     for name, note in module.hooks.groups.module_notes.items():
         module.metadata.append(f"!{name} = !{{{module.note(note)}}}")
 
@@ -58,7 +59,6 @@ class _KernelEmitter(StatementEmitter):
     def __init__(self, program: lir.Program, module: ModuleWriter, groups: Groups) -> None:
         super().__init__(program, module, groups.global_memory)
         self.groups = groups
-        self.space = {lir.Memory.PRIVATE: "", lir.Memory.GROUP: groups.group_memory}
         self.row = ""
         self.rows_end = ""
         w = self.w
@@ -73,8 +73,8 @@ class _KernelEmitter(StatementEmitter):
             f"%{name} = zext {call.type} {result} to i64" if call.type != "i64" else f"%{name} = add i64 {result}, 0"
         )
 
-    def finish(self, name: str) -> None:
-        """Adds the kernel to the module."""
+    def finish(self, name: str, *, loops: bool) -> None:
+        """Adds the kernel to the module; ``loops`` says whether there are loops in it, but for that over rows."""
         self.w.do("ret void")
         access = {slot.number: slot.access for slot in self.program.slots}
         signature: list[str] = []
@@ -86,7 +86,8 @@ class _KernelEmitter(StatementEmitter):
                 type_ = f"ptr{self.memory} noalias align {ALIGNMENT}{' readonly' if reads else ''}"
             signature.append(f"{type_} %{parameter}")
         size = {"group_size": self.program.group_size}
-        notes = [f"!{kind} {self.module.note(note.format(**size))}" for kind, note in self.groups.notes.items()]
+        kinds = {**self.groups.notes, **(self.groups.loop_notes if loops else {})}
+        notes = [f"!{kind} {self.module.note(note.format(**size))}" for kind, note in kinds.items()]
         attributes = self.module.hooks.attributes.format(**size)
         header = f"define {self.groups.kernel} void @{name}({', '.join(signature)}) {attributes}"
         self.w.finish(" ".join((header, *notes)))

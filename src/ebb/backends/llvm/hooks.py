@@ -68,6 +68,7 @@ class Groups:
         float_adds: the bits of floats that are added atomically by an instruction.
         atomic_bits: the width of the narrowest atomic operations.
         notes: metadata of kernels, by kind; ``{group_size}`` stands for the threads of a group.
+        loop_notes: more of those, for kernels with loops.
         module_notes: metadata of modules, by name.
     """
 
@@ -82,6 +83,7 @@ class Groups:
     float_adds: frozenset[int]
     atomic_bits: int
     notes: Mapping[str, str]
+    loop_notes: Mapping[str, str]
     module_notes: Mapping[str, str]
 
 

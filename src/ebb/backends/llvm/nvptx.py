@@ -47,6 +47,7 @@ NVPTX = Hooks(
         float_adds=frozenset({32, 64}),
         atomic_bits=8,  # LLVM makes them of those on 32-bit words
         notes={},
+        loop_notes={},
         module_notes={},
     ),
 )

@@ -40,6 +40,9 @@ _GROUPS = Groups(
     float_adds=frozenset(),
     atomic_bits=32,
     notes={"reqd_work_group_size": "!{{{{i32 {group_size}, i32 1, i32 1}}}}"},
+    # A hint that makes Intel's runtime for processors compile a kernel as it stands. Its vectoriser ends the process
+    # where a loop of different length in each row carries one value into another: a, b = b, a + b.
+    loop_notes={"vec_type_hint": "!{{{{<2 x i32> undef, i32 1}}}}"},
     # Without the first, a * b + c must not be fused. The second is the version of OpenCL C that has what is used.
     module_notes={"opencl.enable.FP_CONTRACT": "!{{}}", "opencl.ocl.version": "!{{i32 2, i32 0}}"},
 )

@@ -25,6 +25,8 @@ _INTEGER = re.compile(r"(?<![\w%@.!-])i(\d+)\b")
 _VECTOR = re.compile(r"<\d+ x \w+>")
 _INTRINSIC = re.compile(r"@llvm\.([a-z.]+?)(?:\.[fip]\d|\()")
 
+_METADATA = re.compile(r"^!.*$", re.MULTILINE)
+
 _INTRINSICS = frozenset({
     "abs", "smin", "smax", "umin", "umax", "fabs", "sqrt", "floor", "ceil", "trunc", "rint", "copysign", "fma",
     "fshl", "fshr", "ctpop", "cttz", "ctlz", "bswap", "bitreverse", "uadd.sat", "usub.sat", "sadd.sat", "ssub.sat",
@@ -58,7 +60,7 @@ def check(module: Any) -> None:
     Raises:
         Untranslatable: there is such a thing in ``module``.
     """
-    text = str(module)
+    text = _METADATA.sub("", str(module))
     wrong = {f"i{width}" for width in _INTEGER.findall(text) if int(width) not in _WIDTHS}
     wrong.update(_VECTOR.findall(text))
     wrong.update(f"llvm.{name}" for name in _INTRINSIC.findall(text) if name not in _INTRINSICS)
