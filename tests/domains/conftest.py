@@ -5,11 +5,14 @@ from __future__ import annotations
 import pytest
 
 import ebb
-from backends import runnable
+from backends import BACKENDS, lacking
 
 
-@pytest.fixture(params=runnable("cpu", "reference"))
+@pytest.fixture(params=BACKENDS)
 def backend(request):
     """The name of the backend that the program runs on."""
+    reason = lacking(request.param)
+    if reason is not None:
+        pytest.skip(reason)
     with ebb.backend(request.param):
         yield request.param
