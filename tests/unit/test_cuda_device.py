@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import sys
 import threading
@@ -14,7 +15,7 @@ from fake_cuda_driver import CONTEXT, OTHER_CONTEXT, CUresult, FakeDriver
 import ebb
 from ebb.environment import describe_environment
 from ebb.runtime.cuda import cuda_device, describe_devices
-from ebb.runtime.cuda_device import MOST_GROUPS, CudaDevice
+from ebb.runtime.cuda_device import MOST_COPIES, MOST_GROUPS, MOST_STAGED, CudaDevice
 
 PTX = b"""
 .version 7.0
@@ -75,6 +76,32 @@ def test_all_goes_to_the_legacy_stream(device: CudaDevice, driver: FakeDriver) -
     del memory
     streams = {arguments[-1] for name, arguments in driver.calls if name in driver.names}
     assert streams == {driver.CU_STREAM_LEGACY}
+
+
+def test_few_bytes_are_uploaded_from_a_copy(device: CudaDevice, driver: FakeDriver) -> None:
+    """Which the driver may read later, where a GPU reads the memory of the processor by itself."""
+    memory, source = device.allocate(4), bytes_of(1, 2, 3, 4)
+    device.upload(memory, source)
+    assert driver.names == ["cuMemAllocAsync", "cuMemcpyHtoDAsync"], "nobody waits"
+    (place,) = (arguments[1] for name, arguments in driver.calls if name == "cuMemcpyHtoDAsync")
+    assert place != source.ctypes.data
+    source[:] = 0
+    assert ctypes.string_at(place, 4) == bytes((1, 2, 3, 4)), "it is still there"
+
+
+def test_copies_do_not_pile_up(device: CudaDevice, driver: FakeDriver) -> None:
+    memory = device.allocate(4)
+    for _ in range(3 * MOST_COPIES):
+        device.upload(memory, bytes_of(1))
+    assert driver.names.count("cuStreamSynchronize") == 3
+
+
+def test_many_bytes_are_waited_for(device: CudaDevice, driver: FakeDriver) -> None:
+    memory, source = device.allocate(MOST_STAGED + 1), np.zeros(MOST_STAGED + 1, np.uint8)
+    device.upload(memory, source)
+    assert driver.names == ["cuMemAllocAsync", "cuMemcpyHtoDAsync", "cuStreamSynchronize"]
+    (place,) = (arguments[1] for name, arguments in driver.calls if name == "cuMemcpyHtoDAsync")
+    assert place == source.ctypes.data, "without a copy"
 
 
 def test_no_bytes_are_no_call(device: CudaDevice, driver: FakeDriver) -> None:

@@ -36,6 +36,9 @@ MOST_GROUPS = 2**31 - 1
 _KIND = 2
 """DLPack's number of CUDA's memory."""
 
+MOST_STAGED, MOST_COPIES = 1 << 16, 1 << 8
+"""Uploads of so many bytes are from copies, of which there are at most so many before somebody waits."""
+
 _LOG_BYTES = 1 << 14
 _END = bytes(1)
 """What strings end with."""
@@ -123,6 +126,7 @@ class CudaDevice:
         self.lacks = frozenset({Feature.FLOAT32_MIN_MAX, Feature.FLOAT64_MIN_MAX})
         self.dlpack_device = (_KIND, number)
         self.taken = 0
+        self._staged: list[Array] = []
         handle = self._result("being opened", driver.cuDeviceGet(number))
         self.name = self._result("being opened", driver.cuDeviceGetName(256, handle)).split(_END)[0].decode()
         major, minor, self._has_pools = (
@@ -175,12 +179,21 @@ class CudaDevice:
                 self._in_context(self._driver.cuMemFree, memory.address)  # waits for what runs
 
     def upload(self, target: device.Memory, source: Array) -> None:
-        """As ``Device.upload``."""
+        """As ``Device.upload``. Few bytes are copied first, so that nobody waits.
+
+        Memory that is not pinned may be read when this has returned, where GPUs see the processor's page tables.
+        """
         assert isinstance(target, Memory)
-        if source.nbytes:
-            # From memory that is not pinned: when this returns, the driver has read it.
-            copy, stream = self._driver.cuMemcpyHtoDAsync, self._stream
-            self._call("copying to it", copy, target.address, source.ctypes.data, source.nbytes, stream)
+        if not source.nbytes:
+            return
+        few = source.nbytes <= MOST_STAGED
+        if few:
+            source = source.copy()
+            self._staged.append(source)
+        copy, stream = self._driver.cuMemcpyHtoDAsync, self._stream
+        self._call("copying to it", copy, target.address, source.ctypes.data, source.nbytes, stream)
+        if not few or len(self._staged) >= MOST_COPIES:
+            self.wait()
 
     def download(self, source: device.Memory, target: Array) -> None:
         """As ``Device.download``."""
@@ -234,6 +247,7 @@ class CudaDevice:
     def wait(self) -> None:
         """As ``Device.wait``."""
         self._call("running kernels", self._driver.cuStreamSynchronize, self._stream)
+        self._staged.clear()
 
     # ---- The driver ----
 
