@@ -58,7 +58,7 @@ class World:
     def restore(self) -> None:
         for place, value in self.saved.items():
             if isinstance(place, ebb.Global):
-                place.data[...] = value
+                place.value = value
             else:
                 place.load(value)
 
