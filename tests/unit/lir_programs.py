@@ -13,7 +13,7 @@ import ebb
 from ebb.backends import target
 from ebb.backends.compile import _module
 from ebb.backends.llvm.group import parameters
-from ebb.compiler import lir, lir_verify
+from ebb.compiler import lir, lir_print, lir_verify
 from ebb.compiler.lower.builder import Builder, Values
 from ebb.relations.relation import Relation
 from ebb.runtime.device import FAILURE_BYTES, FAILURE_COUNT, FAILURE_START, FAILURE_WORDS
@@ -104,6 +104,16 @@ class Written:
         return self.b.load(self.slots[slot], at)
 
 
+_entries: dict[tuple[str, frozenset], tuple] = {}
+
+
+def _loaded(program, lacks):
+    key = (lir_print.text(program), lacks)
+    if key not in _entries:
+        _entries[key] = device().load("test", image_of(program, lacks), program.entries)
+    return _entries[key]
+
+
 def image_of(program: lir.Program, lacks=frozenset()) -> bytes:
     chosen = target.spirv(lacks)
     return chosen.image(_module(program, chosen))
@@ -122,7 +132,7 @@ def run(
     Returns the words that tell of failures, and their number.
     """
     d = device()
-    (entry,) = d.load("test", image_of(program, lacks), program.entries)
+    (entry,) = _loaded(program, lacks)
     none = np.zeros(FAILURE_BYTES, dtype=np.uint8)
     none[:4] = 255
     failures = d.allocate(FAILURE_BYTES)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from ebb.backends.llvm.spirv_code import Untranslated, spirv_binary
 from ebb.backends.llvm.spirv_passes import Untranslatable, check
 from ebb.compiler import lir
 from ebb.compiler.lower.builder import index, number
+from ebb.errors import BackendError
 from ebb.runtime.device import FAILURE_CAPACITY, Feature
 from ebb.types.arithmetic import BINARY
 from ebb.types.types import Kind, bool_, float32, float64, int32, int64, uint32, uint64
@@ -153,6 +156,55 @@ def test_an_abort_of_llvm_is_an_error_of_this_process():
     with pytest.raises(Untranslated, match="LLVM ERROR"):
         spirv_binary(module)
     assert image_of(axpy(float32))  # the next one is fine
+
+
+def test_the_translator_is_started_again_where_it_has_ended():
+    from ebb.backends.llvm import spirv_code
+
+    first = image_of(axpy(float32))
+    process = spirv_code._translator._process
+    process.kill()
+    process.wait()
+    assert image_of(axpy(float32)) == first
+    assert spirv_code._translator._process is not process
+
+
+def test_threads_share_the_translator():
+    programs = [axpy(scalar) for scalar in (float32, float64, int32, int64)]
+    one_by_one = [image_of(program) for program in programs]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(image_of, programs * 3)) == one_by_one * 3
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_forked_process_has_a_translator_of_its_own():
+    expected = image_of(axpy(float32))
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.write(writing, b"same" if image_of(axpy(float32)) == expected else b"other")
+        finally:
+            os._exit(0)
+    os.waitpid(child, 0)
+    assert os.read(reading, 10) == b"same"
+    os.close(reading)
+    os.close(writing)
+    assert image_of(axpy(float32)) == expected
+
+
+def test_where_no_python_can_be_started_that_is_said(monkeypatch):
+    from ebb.backends.llvm.spirv_code import _Translator
+
+    monkeypatch.setattr("sys.executable", "/nowhere/python")
+    with pytest.raises(BackendError, match="nowhere"):
+        _Translator()._running()
+
+
+def test_a_label_is_no_integer_type():
+    import llvmlite.binding as llvm
+
+    check(llvm.parse_assembly("define void @k() {\ni37.5:\n  br label %i37\n\ni37:\n  ret void\n}"))
 
 
 # ---- Which rows run ----

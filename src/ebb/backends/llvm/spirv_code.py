@@ -10,9 +10,11 @@ import threading
 from typing import Any
 
 from ebb.backends.llvm import spirv_translator
-from ebb.backends.llvm.spirv import EXTENSIONS
+from ebb.backends.llvm.spirv import EXTENSIONS, TRIPLE
 from ebb.backends.llvm.spirv_translator import ANSWER, BINARY, REQUEST, TEXT
 from ebb.compiler.kir_verify import CompilerBug
+from ebb.errors import BackendError
+from ebb.runtime.errors import NoMachineCode
 
 
 class Untranslated(CompilerBug):
@@ -70,7 +72,10 @@ class _Translator:
         if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
             extensions = ",".join(f"+{name}" for name in EXTENSIONS)
             command = [sys.executable, "-I", "-S", spirv_translator.__file__, extensions, *filter(None, sys.path)]
-            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            try:
+                self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            except OSError as error:  # Python is part of another program, say
+                raise BackendError(NoMachineCode(TRIPLE, f"{sys.executable}: {error}")) from error
             self._owner = os.getpid()
         return self._process
 
@@ -84,6 +89,7 @@ def spirv_binary(module: Any) -> bytes:
 
     Raises:
         Untranslated: LLVM does not translate it.
+        BackendError: there is no Python that could be started for it.
     """
     return _translator.translated(BINARY, module)
 

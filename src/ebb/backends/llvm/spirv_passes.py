@@ -21,7 +21,7 @@ class Untranslatable(CompilerBug):
 
 _WIDTHS = frozenset({1, 8, 16, 32, 64})
 
-_INTEGER = re.compile(r"(?<![\w%@.!-])i(\d+)\b")
+_INTEGER = re.compile(r"(?<![\w%@.!-])i(\d+)(?![\w.:])")
 _VECTOR = re.compile(r"<\d+ x \w+>")
 _INTRINSIC = re.compile(r"@llvm\.([a-z.]+?)(?:\.[fip]\d|\()")
 
