@@ -161,11 +161,17 @@ class PtxExecutable:
 
 
 class PtxBackend:
-    """Makes PTX for each of ``CAPABILITIES``; kernels run on cpu. ``images`` are those made since it was cleared."""
+    """Makes PTX for each of ``CAPABILITIES``; kernels run on cpu.
+
+    Attributes:
+        checked: the kernels that it was asked to run.
+        images: the capability and the text of all that it made.
+    """
 
     def __init__(self, deterministic: bool = False) -> None:
         self.name = "ptx"
         self.accelerator = None
+        self.checked: list[CheckedKernel] = []
         self.images: list[tuple[int, str]] = []
         self._cpu: Backend = cpu_backend(threads=1)
         self.stages, self.reorders = self._cpu.stages, self._cpu.reorders
@@ -183,6 +189,7 @@ class PtxBackend:
         ]
 
     def prepare(self, checked: CheckedKernel) -> PtxExecutable:
+        self.checked.append(checked)
         return PtxExecutable(self._cpu.prepare(checked), [gpu.prepare(checked) for gpu in self._gpus])
 
     def replay(self, operations: Any) -> Any:
