@@ -1,7 +1,7 @@
 """The code of the README, the tutorial and the reference runs, and prints or raises what stands under it.
 
 The blocks marked ``python`` of a page are one program. A ``text`` block right after one is what that block prints;
-after a block marked ``python raises`` it is the error. ``--update-golden`` writes these texts.
+after a block marked ``python raises`` it is the error. ``--update-golden`` writes these texts, and the extracts of what the compiler makes (``dumps.py``).
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dumps import refreshed
 
 import ebb
+from backends import lacking
 from ebb.types.builtins import BUILTINS
 
 ROOT = Path(__file__).parents[2]
@@ -25,6 +27,7 @@ PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "docs").glob("tutorial/*.md")),
     *sorted((ROOT / "docs").glob("reference/*.md")),
+    ROOT / "docs" / "design" / "devices.md",
 ]
 BLOCK = re.compile(
     r"^```(?P<kind>python(?: raises)?)\n(?P<code>.*?)^```\n(?:\n```text\n(?P<text>.*?)^```\n)?", re.M | re.S
@@ -57,10 +60,20 @@ def run_block(block: Block, filename: str, line: int, namespace: dict[str, Any])
     return f"{caught.value}\n"
 
 
+@pytest.fixture(autouse=True)
+def same_backend() -> Iterator[None]:
+    """Pages choose backends, which is nobody else's business."""
+    with ebb.backend("cpu"):
+        yield
+
+
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_page(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     page = path.read_text(encoding="utf-8")
     blocks = tuple(blocks_of(page))
+    reason = lacking("opencl") if any('backend("opencl"' in block.code for block in blocks) else None
+    if reason is not None:
+        pytest.skip(reason)
     name = re.sub(r"^\d+[-_]", "", path.stem).lower().replace("-", "_") + ".py"
     monkeypatch.chdir(tmp_path)
     Path(name).write_text("".join(block.code for block in blocks), encoding="utf-8")
@@ -73,7 +86,9 @@ def test_page(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reque
         if block.text is not None:
             start, end = (place - len(page) for place in block.place)  # from the end, since what is before changes
             found = found[: len(found) + start] + text + found[len(found) + end :]
-    if request.config.getoption("--update-golden"):
+    update = request.config.getoption("--update-golden")
+    found = refreshed(found, namespace, update=update)
+    if update:
         path.write_text(found, encoding="utf-8")
     assert found == path.read_text(encoding="utf-8")
 
