@@ -147,7 +147,7 @@ class BadBlockSize(Diagnostic):
 
     @property
     def title(self) -> str:
-        return f"kernel '{self.kernel}' cannot run in work-groups of {_shown(self.value)} rows"
+        return f"block_size={self.value!r} is no size of a work-group for kernel '{self.kernel}'"
 
     @property
     def notes(self) -> tuple[str, ...]:
