@@ -1,7 +1,8 @@
 """The code of the README, the tutorial and the reference runs, and prints or raises what stands under it.
 
 The blocks marked ``python`` of a page are one program. A ``text`` block right after one is what that block prints;
-after a block marked ``python raises`` it is the error. ``--update-golden`` writes these texts, and the extracts of what the compiler makes (``dumps.py``).
+after a block marked ``python raises`` it is the error. ``--update-golden`` writes these texts, and the extracts of what
+the compiler makes (``dumps.py``).
 """
 
 from __future__ import annotations
