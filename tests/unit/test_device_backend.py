@@ -144,15 +144,14 @@ def test_parameters_are_as_many_as_arguments(device):
         r.x = m @ r.x
 
     turn(rows, np.eye(3))
-    program_parameters = parameters(
-        turn_program(turn, rows)  # of the program that was compiled
-    )
-    assert len(program_parameters) == len(device.launches[0].arguments)
+    (program,) = bound_programs(turn, rows)
+    assert len(parameters(program)) == len(device.launches[0].arguments)
 
 
-def turn_program(kernel, rows):
+def bound_programs(kernel, rows):
+    """The programs of the last launch."""
     (launch,) = kernel._known_launches(rows)
-    return launch.bound._program
+    return [binding._program for binding in getattr(launch.bound, "bindings", (launch.bound,))]
 
 
 def test_nothing_runs_on_no_rows_but_a_launch_that_draws_counts(device):
@@ -573,3 +572,133 @@ def test_an_interrupt_leaves_true_values(on_opencl):
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+
+
+def explained(kernel, rows):
+    with redirect_stdout(io.StringIO()):
+        return kernel.explain(rows)
+
+
+@opencl
+def test_keys_that_change_before_each_launch_are_summed_in_order():
+    vertices, edges, _ = spring_mesh(200, 1_000)
+
+    @ebb.kernel
+    def scatter(e: edges):
+        e.tail.sum += e.weight
+
+    ways = []
+    with ebb.backend("opencl", deterministic=True):
+        for shift in range(4):
+            ends = (np.arange(1_000) * 7 + shift) % 200
+            edges.tail.load(ends)
+            vertices.sum.fill(0)
+            scatter(edges)
+            expected = np.bincount(ends, edges.weight.to_numpy(), 200)
+            np.testing.assert_allclose(vertices.sum.to_numpy(), expected, atol=1e-4)
+            ways.append(bound_programs(scatter, edges)[0].in_order)
+    assert ways == [False, False, True, True]
+
+
+@opencl
+def test_a_kernel_that_prints_and_sums_runs_in_order():
+    vertices, edges, ends = spring_mesh(10, 40)
+
+    @ebb.kernel
+    def scatter(e: edges):
+        e.tail.sum += e.weight
+        print(ebb.id(e))
+
+    with ebb.backend("opencl", deterministic=True), redirect_stdout(io.StringIO()) as printed:
+        scatter(edges)
+    assert printed.getvalue().split() == [str(i) for i in range(40)]
+    with ebb.backend("opencl", deterministic=True):
+        assert "since the kernel prints" in explained(scatter, edges)
+    np.testing.assert_allclose(vertices.sum.to_numpy(), np.bincount(ends[:, 0], edges.weight.to_numpy(), 10), atol=1e-5)
+
+
+@opencl
+def test_sums_are_gathered_in_ranges_where_rows_are_grouped():
+    vertices, edges, ends = spring_mesh()
+    edges.group_by("tail")
+
+    @ebb.kernel
+    def scatter(e: edges):
+        e.tail.sum += e.weight
+
+    with ebb.backend("opencl", deterministic=True):
+        scatter(edges)
+        assert "its groups are ranges" in explained(scatter, edges)
+    expected = np.bincount(ends[:, 0], edges.weight.to_numpy(), vertices.size)
+    np.testing.assert_allclose(vertices.sum.to_numpy(), expected, atol=1e-4)
+
+
+@opencl
+def test_values_that_cannot_be_computed_again_are_staged():
+    vertices, edges, _ = spring_mesh()
+    edges.new_field("drawn", ebb.float32)
+
+    @ebb.kernel
+    def scatter(e: edges):
+        e.drawn = ebb.rand(ebb.float32)
+        e.tail.sum += e.drawn
+        e.head.sum += 2 * e.drawn
+
+    found = set()
+    with ebb.backend("opencl", deterministic=True):
+        for _ in range(3):
+            ebb.seed(7)
+            vertices.sum.fill(0)
+            scatter(edges)
+            found.add((vertices.sum.to_numpy().tobytes(), edges.drawn.to_numpy().tobytes()))
+        assert "staged" in explained(scatter, edges)
+    assert len(found) == 1
+    expected = sum(
+        factor * np.bincount(edges.fields[name].to_numpy(), edges.drawn.to_numpy(), vertices.size)
+        for name, factor in (("tail", 1), ("head", 2))
+    )
+    np.testing.assert_allclose(vertices.sum.to_numpy(), expected, rtol=1e-4)
+
+
+@opencl
+def test_explain_says_how_a_device_sums(on_opencl):
+    _, edges, _ = spring_mesh(10, 40)
+    total = ebb.Global(ebb.float32, 0.0)
+
+    @ebb.kernel(block_size=96)
+    def scatter(e: edges):
+        e.tail.sum += e.weight
+        total.value += e.weight
+
+    text = explained(scatter, edges)
+    assert "into other rows, atomically, in any order" in text
+    assert "one partial result a work-group" in text
+    assert "96 threads are a work-group" in text
+
+
+@opencl
+def test_a_step_is_replayed_on_the_device(on_opencl):
+    rows = rows_of(500, x=ebb.int64, y=ebb.int64)
+    count, limit = ebb.Global(ebb.int64, 0), ebb.Global(ebb.int64, 0)
+
+    @ebb.kernel
+    def step(r: rows):
+        r.x = r.y + 1 + limit.value
+        count.value += 1
+
+    with ebb.capture() as recorded:
+        limit.value = 2
+        step(rows)
+        rows.swap("x", "y")
+        limit.value = 0
+        step(rows)
+    before = count.value
+    assert before == 0
+    recorded.run(20)
+    expected_x, expected_y = 0, 0
+    for _ in range(20):
+        expected_x = expected_y + 3
+        expected_x, expected_y = expected_y, expected_x
+        expected_x = expected_y + 1
+    assert (rows.x.to_numpy() == expected_x).all() and (rows.y.to_numpy() == expected_y).all()
+    assert count.value == 20 * 2 * 500 and limit.value == 0
