@@ -6,8 +6,9 @@ import platform
 import sys
 from functools import cache
 
+import pytest
+
 import ebb
-from ebb.backends import target
 
 BACKENDS = ("cpu", "reference", "opencl")
 COMPILED = ("cpu", "opencl")
@@ -18,8 +19,6 @@ HAS_WHEELS = sys.platform == "linux" and platform.machine() == "x86_64"
 @cache
 def lacking(backend: str) -> str | None:
     """Why tests skip ``backend`` on this machine, or None."""
-    if backend == "opencl" and not hasattr(target, "spirv"):
-        return "there is no such backend yet"
     if backend != "opencl" or HAS_WHEELS:
         return None
     try:
@@ -27,6 +26,13 @@ def lacking(backend: str) -> str | None:
             return None
     except ebb.BackendError as error:
         return str(error)
+
+
+def require(backend: str) -> None:
+    """Skips the test where ``backend`` is not."""
+    reason = lacking(backend)
+    if reason is not None:
+        pytest.skip(reason)
 
 
 def runnable(*backends: str) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import ebb
+from backends import require
 
 from .harness import LARGE, graph, kernel_of, sizes_for
 
@@ -30,7 +31,7 @@ def test_global_sums_at_every_size(backend):
         assert (low.value, high.value) == ((x.min(), x.max()) if size else (1000, -1000))
 
 
-def test_a_million_rows_sum_exactly():
+def test_a_million_rows_sum_exactly(compiled):
     rows = ebb.Relation("rows", size=1_000_000)
     rows.new_field("x", ebb.int32, init=np.arange(1_000_000))
     small, large = ebb.Global(ebb.int32, 0), ebb.Global(ebb.int64, 0)
@@ -173,7 +174,7 @@ def test_a_global_keeps_what_it_held(backend):
 # ---- Bits that do not depend on the threads ----
 
 
-def bits_of_sums(threads):
+def bits_of_sums(backend, **options):
     """Sums of floats of very different sizes, into globals and through keys, as bytes."""
     generator = np.random.default_rng(11)
     rows, others = ebb.Relation("rows", size=LARGE), ebb.Relation("others", size=501)
@@ -196,7 +197,7 @@ def bits_of_sums(threads):
         r.k.x += r.x
         r.k.v += r.v
 
-    with ebb.backend("cpu", threads=threads):
+    with ebb.backend(backend, **options):
         measure(rows)
     results = (double, single, vector, product, others.x, others.v)
     np.testing.assert_allclose(double.value, x.sum(), rtol=1e-9)
@@ -204,7 +205,21 @@ def bits_of_sums(threads):
 
 
 def test_float_sums_have_the_same_bits_for_any_number_of_threads():
-    first, *others = [bits_of_sums(threads) for threads in THREADS]
+    first, *others = [bits_of_sums("cpu", threads=threads) for threads in THREADS]
+    for other in others:
+        assert other == first
+
+
+def test_deterministic_float_sums_have_the_same_bits_each_time():
+    require("opencl")
+    first, *others = [bits_of_sums("opencl", deterministic=True) for _ in range(4)]
+    for other in others:
+        assert other == first
+
+
+def test_float_sums_into_globals_have_the_same_bits_each_time():
+    require("opencl")
+    first, *others = [bits_of_sums("opencl")[:4] for _ in range(4)]
     for other in others:
         assert other == first
 
@@ -230,7 +245,7 @@ def test_float_sums_have_the_same_bits_on_a_grouped_relation_for_any_number_of_t
     assert len({bits(threads) for threads in THREADS}) == 1
 
 
-def test_five_thousand_launches():
+def test_five_thousand_launches(compiled):
     rows = ebb.Relation("rows", size=10_000)
     rows.new_field("x", ebb.float64, init=0.5)
     total = ebb.Global(ebb.float64, 0.0)

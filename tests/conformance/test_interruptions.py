@@ -63,7 +63,7 @@ def run_all(*functions):
     assert failures == []
 
 
-def test_one_thread_launches_while_another_sorts_the_rows():
+def test_one_thread_launches_while_another_sorts_the_rows(compiled):
     nodes, links, flip, sums = network()
     heavy = work(links)
 
@@ -79,7 +79,7 @@ def test_one_thread_launches_while_another_sorts_the_rows():
     np.testing.assert_array_equal(nodes.total.to_numpy(), np.bincount(links.a.to_numpy(), x, NODES))
 
 
-def test_one_thread_swaps_and_sorts_while_another_runs_a_step():
+def test_one_thread_swaps_and_sorts_while_another_runs_a_step(compiled):
     rows = ebb.Relation("rows", size=LINKS)
     for start, name in enumerate("xyz"):
         rows.new_field(name, ebb.int64, init=start)
@@ -137,7 +137,7 @@ def test_fork_while_another_thread_launches():
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="there are no timers")
-def test_an_interrupt_leaves_no_failure_for_the_next_launch():
+def test_an_interrupt_leaves_no_failure_for_the_next_launch(compiled):
     rows = ebb.Relation("rows", size=50_000)
     rows.new_field("x", ebb.float64)
     text = """

@@ -90,7 +90,7 @@ def test_launches_and_draws_and_rows_differ(backend):
     assert len(np.unique(one["a"])) == SIZE
 
 
-def test_uniform_moments():
+def test_uniform_moments(compiled):
     numbers = drawn(size=100_000)
     for name in ("a", "f"):
         x = numbers[name].astype(float)
@@ -101,7 +101,7 @@ def test_uniform_moments():
     assert abs(np.corrcoef(numbers["a"], numbers["b"])[0, 1]) < 0.02
 
 
-def test_normal_moments():
+def test_normal_moments(compiled):
     numbers = drawn(size=100_000)
     for name in ("n", "m"):
         x = numbers[name].astype(float)

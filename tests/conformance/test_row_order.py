@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import ebb
+from backends import require
 
 from .harness import kernel_of, rejects
 
@@ -72,6 +73,12 @@ def values(*relations):
 def assert_same(found, expected):
     for left, right in zip(found, expected, strict=True):
         np.testing.assert_array_equal(left, right)
+
+
+def assert_near(found, expected):
+    """Equal but for the order in which floats were added."""
+    for left, right in zip(found, expected, strict=True):
+        np.testing.assert_allclose(left, right, rtol=1e-5, atol=1e-5)
 
 
 # ---- When it is done ----
@@ -247,9 +254,9 @@ def test_what_refers_to_a_permuted_relation_follows_it():
 # ---- Results ----
 
 
-def results(threads, reorder):
+def results(backend, reorder, **options):
     """All values of a program after five steps: queries, members, numbers of rows, random numbers, a subset."""
-    with ebb.backend("cpu", threads=threads, reorder=reorder is True):
+    with ebb.backend(backend, reorder=reorder is True, **options):
         vertices, edges = lattice()
         vertices.new_field("n", ebb.int64)
         vertices.new_field("r", ebb.float64)
@@ -285,17 +292,24 @@ def results(threads, reorder):
 
 @pytest.fixture(scope="module")
 def as_created():
-    return results(1, reorder=False)
+    return results("cpu", reorder=False, threads=1)
 
 
 @pytest.mark.parametrize(("threads", "reorder"), [(1, True), (2, True), (3, True), (7, True), (2, "asked"), (3, False)])
 def test_results_are_the_same_bits_in_any_order(as_created, threads, reorder):
-    assert_same(results(threads, reorder), as_created)
+    assert_same(results("cpu", reorder, threads=threads), as_created)
 
 
-def scattered(threads, reorder):
+def test_results_on_opencl_are_the_same_bits_in_any_order():
+    require("opencl")
+    expected = results("opencl", reorder=False)
+    for reorder in (True, "asked"):
+        assert_same(results("opencl", reorder), expected)
+
+
+def scattered(backend, reorder, **options):
     """What edges add to both of their ends, in four launches, before and after the rows have moved."""
-    with ebb.backend("cpu", threads=threads, reorder=reorder):
+    with ebb.backend(backend, reorder=reorder, **options):
         vertices, edges = lattice(grouped=False)
         vertices.new_field("n", ebb.int32)
         scatter = kernel_of(
@@ -315,11 +329,18 @@ def scattered(threads, reorder):
 
 
 def test_scattered_sums_are_the_same_bits_for_any_number_of_threads():
-    one = scattered(1, reorder=True)
+    one = scattered("cpu", reorder=True, threads=1)
     for threads in (2, 3, 7):
-        assert_same(scattered(threads, reorder=True), one)
-    for found, expected in zip(one, scattered(2, reorder=False), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+        assert_same(scattered("cpu", reorder=True, threads=threads), one)
+    assert_near(one, scattered("cpu", reorder=False, threads=2))
+
+
+def test_scattered_sums_on_opencl():
+    require("opencl")
+    one = scattered("opencl", reorder=True, deterministic=True)
+    assert_same(scattered("opencl", reorder=True, deterministic=True), one)
+    for options in ({"reorder": True}, {"reorder": False}, {"reorder": False, "deterministic": True}):
+        assert_near(scattered("opencl", **options), one)
 
 
 # ---- When it is asked for ----

@@ -215,6 +215,15 @@ def test_a_failure_among_many_rows():
         assert names_row(error, 90000)
 
 
+@pytest.mark.parametrize("least", [0, 1, 63, 64, 90_000, LARGE - 1])
+def test_the_first_of_many_rows_that_fail(compiled, least):
+    rows = ebb.Relation("rows", size=LARGE)
+    rows.new_field("x", ebb.int32, init=np.arange(LARGE))
+    kernel = kernel_of("assert r.x < least", "r: rows, least: ebb.int32", rows=rows)
+    for _ in range(3):
+        assert names_row(rejects(ebb.KernelAssertionError, "E401", lambda: kernel(rows, least)), least)
+
+
 def test_no_row_no_failure(backend):
     rows = rows_with(x=(ebb.float64, []))
     kernel_of("assert r.x > 0", rows=rows)(rows)

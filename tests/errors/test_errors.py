@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import ebb
-from backends import BACKENDS, lacking
+from backends import BACKENDS, require
 from ebb.diagnostics.diagnostic import Diagnostic
 
 HERE = Path(__file__).parent
@@ -74,8 +74,7 @@ def test_error(case: Path, work: Path, golden) -> None:
 
 @pytest.mark.parametrize(("case", "backend"), RUNNING, ids=lambda value: getattr(value, "stem", value))
 def test_a_running_kernel_stops_alike_on_every_backend(case: Path, backend: str, work: Path, golden) -> None:
-    if lacking(backend):
-        pytest.skip(lacking(backend))
+    require(backend)
     with ebb.backend(backend):
         error = run_case(case)
     golden(case.with_suffix(".err"), user_text(error, work))

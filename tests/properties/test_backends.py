@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import ebb
-from backends import lacking, runnable
+from backends import require, runnable
 from ebb.relations.family import family_of
 from ebb.runtime.buffer import Layout
 
@@ -56,8 +56,7 @@ def test_cpu_is_the_reference(salt, data):
 
 @pytest.fixture
 def opencl():
-    if lacking("opencl"):
-        pytest.skip(lacking("opencl"))
+    require("opencl")
 
 
 @settings(max_examples=60, derandomize=True, **QUIET)
