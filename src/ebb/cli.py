@@ -18,7 +18,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-BackendOption = Annotated[str | None, typer.Option("--backend", help="The backend to start with: cpu, reference.")]
+BackendOption = Annotated[
+    str | None, typer.Option("--backend", help="The backend to start with: cpu, opencl, cuda or reference.")
+]
 ThreadsOption = Annotated[int | None, typer.Option("--threads", min=1, help="Threads of the cpu backend.")]
 PROGRAM_ARGUMENTS = {"allow_interspersed_args": False, "ignore_unknown_options": True}
 

@@ -26,7 +26,7 @@ WIDTH = 150
 
 
 def refreshed(page: str, namespace: Mapping[str, Any], *, update: bool) -> str:
-    """The page with the extracts as they are now. Where LLVM is another one, its part stays, unless ``update`` is set."""
+    """The page with the extracts as they are now; of another LLVM, what LLVM makes stays, unless ``update`` is set."""
     made = _MAKER.search(page)
     if made is None:
         return page
