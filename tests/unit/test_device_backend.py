@@ -702,3 +702,21 @@ def test_a_step_is_replayed_on_the_device(on_opencl):
         expected_x = expected_y + 1
     assert (rows.x.to_numpy() == expected_x).all() and (rows.y.to_numpy() == expected_y).all()
     assert count.value == 20 * 2 * 500 and limit.value == 0
+
+
+@opencl
+def test_options_of_a_device_are_looked_at_before_it_is_chosen():
+    for options, code in (({"deterministic": "yes"}, "E606"), ({"reorder": 1}, "E606"), ({"threads": 2}, "E602")):
+        with pytest.raises(ebb.BackendError) as caught:
+            ebb.set_backend("opencl", **options)
+        assert caught.value.codes == (code,)
+
+
+@opencl
+def test_a_choice_of_options_is_one_backend():
+    chosen = []
+    for options in ({}, {"device": None}, {"deterministic": True}, {}):
+        with ebb.backend("opencl", **options):
+            chosen.append(select.current_backend())
+    assert chosen[0] is chosen[1] is chosen[3] is not chosen[2]
+    assert chosen[0].accelerator is chosen[2].accelerator
