@@ -89,6 +89,10 @@ def test_images_are_the_same_each_time():
     assert len({image_of(program) for _ in range(5)}) == 1
 
 
+def test_modules_are_of_the_oldest_version_of_spirv():
+    assert list(np.frombuffer(image_of(axpy(float32)), dtype=np.uint32)[:2]) == [0x07230203, 0x00010000]
+
+
 def all_of(scalar):
     """A program that does all that can be done to floats of one type."""
     w = Written(scalar, int32, scalar, writes=[2])

@@ -8,7 +8,8 @@ from __future__ import annotations
 from ebb.backends.llvm.hooks import INTRINSICS, NOT_ALWAYS_RIGHT, PURE, Call, Groups, Hooks, Strips
 from ebb.records import replace
 
-TRIPLE = "spirv64-unknown-unknown"
+TRIPLE = "spirv64v1.0-unknown-unknown"
+"""The oldest version of SPIR-V, which all devices take that take any."""
 
 EXTENSIONS = ("SPV_EXT_shader_atomic_float_add",)
 """What modules may use beside the core of SPIR-V, where a program has such instructions."""
