@@ -7,6 +7,7 @@ functions. They ask LLVM what to do with subnormal numbers (``__nvvm_reflect``),
 from __future__ import annotations
 
 import os
+import re
 import sys
 from functools import cache
 from importlib.util import find_spec
@@ -77,4 +78,23 @@ def _functions(path: str, names: frozenset[str]) -> bytes:
     passes.add_global_dead_code_eliminate_pass()
     # No machine: dead code is dead on all of them.
     passes.run(library, llvm.create_pass_builder(None, llvm.create_pipeline_tuning_options()))
-    return library.as_bitcode()
+    return _without_double(library).as_bitcode()
+
+
+_SCALED_IN_DOUBLE = re.compile(
+    r"(%\d+) = sitofp i64 (%\d+) to double\n"
+    r"  (%\d+) = fmul double \1, 0x3BF921FB54442D19\n"
+    r"  (%\d+) = fptrunc double \3 to float\n"
+)
+_SCALED = r"\1 = sitofp i64 \2 to float\n  \3 = fmul float \1, 0x3BF921FB60000000\n  \4 = fmul float \3, 1.0\n"
+
+
+def _without_double(library: llvm.ModuleRef) -> llvm.ModuleRef:
+    """``library`` with sin, cos and tan of float32 in float32 throughout.
+
+    For angles beyond 105,615 they take the angle modulo pi/2 in integers, and scale what is left by pi/2 and 2**-64 in
+    float64, which is slow on many GPUs, and which a kernel in float32 does not have anywhere else. In float32 that is
+    a rounding or two more of an angle below pi/4.
+    """
+    text, found = _SCALED_IN_DOUBLE.subn(_SCALED, str(library))
+    return llvm.parse_assembly(text) if found else library
