@@ -140,6 +140,10 @@ class BadSwitch(Diagnostic):
     def title(self) -> str:
         return f"the option {self.option}={self.value!r} of the backend '{self.backend}' is neither True nor False"
 
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return (f"write {self.option}=True or {self.option}=False, or leave it out",)
+
 
 @record
 class HostStepInCapture(Diagnostic):
