@@ -278,7 +278,7 @@ def test_reductions_into_other_rows(op):
     body = [
         reduce(points.total, read(edges.attribute(end), on.row), op, read(edges.w, on.row)) for end in ("head", "tail")
     ]
-    assert_agree(on.kernel(*body), threads=3)
+    assert_agree(on.kernel(*body), threads=3, rtol=1e-10 if op in "+*" else 0.0)  # on opencl in any order
 
 
 def test_reductions_of_components_and_bits():
@@ -291,7 +291,7 @@ def test_reductions_of_components_and_bits():
         reduce(points.m, tail, "+", read(edges.w, on.row), i32(1), i32(0)),
         reduce(points.bits, tail, "^", row_id(on.row)),
     ]
-    assert_agree(on.kernel(*body))
+    assert_agree(on.kernel(*body), rtol=1e-10)
 
 
 REDUCED = [
@@ -531,10 +531,8 @@ def test_random_numbers_are_those_of_the_reference(scalar, permuted):
     x, y = local("x", scalar), local("y", scalar)
     body = [assign(x, random("rand", scalar)), assign(y, random("randn", scalar))]
     kernel = on.kernel(*body, write(relation.a, on.row, get(x)), write(relation.b, on.row, get(y)))
-    philox.seed(12345678901)
-    launches = iter([philox.LaunchKey(12345678901, 3)] * 2)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(philox, "next_launch", lambda: next(launches))
+        patch.setattr(philox, "next_launch", lambda: philox.LaunchKey(12345678901, 3))
         assert_agree(kernel, rtol=1e-5 if scalar == float32 else 1e-12)
 
 
