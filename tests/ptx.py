@@ -5,6 +5,7 @@ What ``ptxas`` says of each is a row of a table: registers, bytes spilled, share
 
 from __future__ import annotations
 
+import fcntl
 import re
 import subprocess
 from collections import Counter
@@ -23,6 +24,7 @@ import numpy as np
 import pytest
 
 import ebb
+from backends import HAS_WHEELS
 from ebb.backends import select
 from ebb.backends.backend import Backend, Bound, CheckedKernel, Executable, How
 from ebb.backends.cache import ObjectCache, cache_directory
@@ -62,6 +64,12 @@ def ptxas() -> Path | None:
     found = find_spec("nvidia")
     folders = [] if found is None else [Path(folder) for folder in found.submodule_search_locations or ()]
     return next((path for folder in folders for path in folder.glob("*/bin/ptxas*") if path.stem == "ptxas"), None)
+
+
+def require() -> None:
+    """Skips the test where there is no assembler."""
+    if ptxas() is None and not HAS_WHEELS:
+        pytest.skip("there is no ptxas")
 
 
 def versions() -> str:
@@ -236,13 +244,35 @@ def _row(name: str, cells: list[list[Any]]) -> str:
     return f"{name:{NAME_WIDTH}}{''.join(f'{text:{CELL_WIDTH}}' for text in texts)}".rstrip()
 
 
-def compared(recorded: str, found: str) -> tuple[str, str]:
-    """Both tables, without what other versions of LLVM and ``ptxas`` than those of ``recorded`` choose otherwise."""
-    if recorded.startswith(versions()):
-        return recorded, found
-    return _without_choices(recorded), _without_choices(found)
+def check_section(path: Path, name: str, rows: list[str], *, update: bool) -> None:
+    """Compares ``rows`` with those that the table ``path`` has under ``name``, or puts them there.
+
+    Where the table is of other versions of LLVM and ``ptxas``, what these choose is not compared.
+    """
+    if update:
+        _update_section(path, name, rows)
+    table = path.read_text(encoding="utf-8") if path.exists() else ""
+    recorded = _sections(table).get(name, [])
+    if table and not table.startswith(versions()):
+        recorded, rows = list(map(_without_choices, recorded)), list(map(_without_choices, rows))
+    assert rows == recorded, "if they are to be so, say --update-golden"
 
 
-def _without_choices(table: str) -> str:
-    lines = table.splitlines()[1:]
-    return "\n".join(line[:NAME_WIDTH] + line[NAME_WIDTH + 3 * CELL_WIDTH :] for line in lines)
+def _update_section(path: Path, name: str, rows: list[str]) -> None:
+    path.parent.mkdir(exist_ok=True)
+    with open(path, "a+", encoding="utf-8") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # test processes run side by side
+        file.seek(0)
+        sections = {**_sections(file.read()), name: rows}
+        texts = ["\n".join((title, *sections[title])) for title in sorted(sections) if sections[title]]
+        file.truncate(0)
+        file.write("\n\n".join(("\n".join(header()), *texts)) + "\n")
+
+
+def _sections(table: str) -> dict[str, list[str]]:
+    _, *sections = table.rstrip("\n").split("\n\n")
+    return {title: rows for title, *rows in map(str.splitlines, sections)}
+
+
+def _without_choices(row: str) -> str:
+    return row[:NAME_WIDTH] + row[NAME_WIDTH + 3 * CELL_WIDTH :]
