@@ -146,7 +146,7 @@ def main(
     steps: Annotated[int, typer.Option(help="at most so many", min=1)] = 4000,
     diffusivity: Annotated[float, typer.Option(help="square metres a second")] = 1e-3,
     tolerance: Annotated[float, typer.Option(help="stop when no vertex changes by more in a step")] = 1e-6,
-    backend: Annotated[str, typer.Option(help="cpu or reference")] = "cpu",
+    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
     threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the last state (.vtu, .vtk, .ply)")] = None,
 ) -> None:

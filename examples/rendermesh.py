@@ -109,7 +109,7 @@ def main(
     mesh: Annotated[str, typer.Option(help="torus, bunny, or the file of a closed surface")] = "torus",
     resolution: Annotated[int, typer.Option(help="tetrahedra of the solid along its longest side", min=1)] = 12,
     turns: Annotated[float, typer.Option(help="how far the solid is twisted, in turns a metre")] = 0.2,
-    backend: Annotated[str, typer.Option(help="cpu or reference")] = "cpu",
+    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
     threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the skin (.vtu, .vtk, .ply, .off)")] = None,
 ) -> None:

@@ -259,7 +259,7 @@ def main(
     dt: Annotated[float | None, typer.Option(help="seconds a step; by default what is stable")] = None,
     drop: Annotated[float, typer.Option(help="metres from the floor to the lowest point")] = 0.4,
     resolution: Annotated[int, typer.Option(help="tetrahedra along the longest side", min=2)] = 20,
-    backend: Annotated[str, typer.Option(help="cpu or reference")] = "cpu",
+    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
     threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the last state (.vtu, .vtk, .veg)")] = None,
 ) -> None:

@@ -311,7 +311,7 @@ def kernel(
         function: the function; its first parameter is annotated with a relation, or bare and then typed at each launch.
         block_size: rows a work-group on opencl and cuda, from 1 to 1024. A launch may have its own: ``step(cells,
             block_size=128)``.
-        fastmath: allows floats to be reassociated and assumes them finite.
+        fastmath: takes floats for real numbers: sums are regrouped, functions approximated. NaN and infinity stay.
         source: the text that defines the function, for functions whose source Python does not keep.
     """
     hints = Hints(block_size=block_size, fastmath=fastmath)

@@ -26,7 +26,7 @@ class Hints:
 
     Attributes:
         block_size: rows a work-group on a GPU; cpu and reference have no use for it.
-        fastmath: floats may be reassociated and are assumed finite.
+        fastmath: floats are taken for real numbers, but that NaN and infinity stay.
     """
 
     block_size: int = 64
