@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import lcm
+from math import floor, lcm
 
 from ebb.compiler import kir, lir
 from ebb.compiler.lower.builder import Values, index
@@ -75,11 +75,9 @@ def affine(ctx: Context, node: kir.Affine, base: lir.Value) -> lir.Value:
         return _moved(ctx, grid, base, offsets)
     at = coordinates(ctx, source, base)
     asked = tuple(_row(ctx, row, at) for row in node.matrix)
-    settled = tuple(
-        _settled(ctx, node, grid, dimension, asked[dimension], None if offsets is None else offsets[dimension])
-        for dimension in range(grid.ndim)
-    )
-    _check(ctx, node, grid, asked, settled, offsets)
+    reached = tuple(_reached(row, source) for row in node.matrix)
+    settled = tuple(_settled(ctx, node, grid, d, asked[d], reached[d]) for d in range(grid.ndim))
+    _check(ctx, node, grid, asked, settled, reached)
     return linear(ctx, grid, settled)
 
 
@@ -87,7 +85,7 @@ def row_at(ctx: Context, node: kir.RowAt, asked: Values) -> lir.Value:
     """The position of the row at the coordinates ``asked``, int64."""
     grid = target(node.type)
     settled = tuple(_settled(ctx, node, grid, dimension, at, None) for dimension, at in enumerate(asked))
-    _check(ctx, node, grid, asked, settled, None)
+    _check(ctx, node, grid, asked, settled, (None,) * grid.ndim)
     return linear(ctx, grid, settled)
 
 
@@ -133,24 +131,50 @@ def _row(ctx: Context, entries: Sequence[kir.Entry], at: Values) -> lir.Value:
     return total if scale == 1 else b.binary("//", total, index(scale))
 
 
+def _reached(entries: Sequence[kir.Entry], source: Relation) -> range:
+    """The coordinates that a map may ask for, from any row of ``source``: none if that has no rows."""
+    if not source.size:
+        return range(0)
+    ends = [sorted((0, entry * (extent - 1))) for entry, extent in zip(entries, source.shape, strict=False)]
+    low, high = (sum(end[side] for end in ends) + entries[-1] for side in (0, 1))
+    return range(floor(low), floor(high) + 1)
+
+
+def _within(reached: range | None, low: int, high: int) -> bool:
+    """Whether all that is asked for lies from ``low`` on and below ``high``."""
+    return reached is not None and (not reached or (reached.start >= low and reached.stop <= high))
+
+
 def _settled(
-    ctx: Context, node: kir.Affine | kir.RowAt, grid: Relation, dimension: int, asked: lir.Value, offset: int | None
+    ctx: Context, node: kir.Affine | kir.RowAt, grid: Relation, dimension: int, asked: lir.Value, reached: range | None
 ) -> lir.Value:
-    """The coordinate wrapped or clamped."""
+    """The coordinate wrapped or clamped, where some row may ask for one beyond the grid."""
     b = ctx.build
-    extent = ctx.extent(grid, dimension)
-    if offset == 0:
+    size = grid.shape[dimension]
+    if _within(reached, 0, size):
         return asked
+    extent = ctx.extent(grid, dimension)
     if grid.periodic[dimension]:
-        if offset is None or abs(offset) > grid.shape[dimension]:
-            return b.binary("%", asked, extent)
-        if offset > 0:
+        if _within(reached, 0, 2 * size):
             return b.select(b.compare(">=", asked, extent), b.binary("-", asked, extent), asked)
-        return b.select(b.compare("<", asked, index(0)), b.binary("+", asked, extent), asked)
+        if _within(reached, -size, size):
+            return b.select(b.compare("<", asked, index(0)), b.binary("+", asked, extent), asked)
+        return _wrapped(ctx, asked, extent)
     if node.edge is kir.Edge.CLAMP:
         last = b.add_index(extent, -1)
         return b.binary("max", b.binary("min", asked, last), index(0))
     return asked
+
+
+def _wrapped(ctx: Context, asked: lir.Value, extent: lir.Value) -> lir.Value:
+    """The coordinate modulo the extent. Most lie inside already, and the branch takes a tenth of a division's time."""
+    b = ctx.build
+    wrapped = b.declare("wrapped", int64, 1)
+    b.store_var(wrapped, 0, asked)
+    with b.body() as beyond:
+        b.store_var(wrapped, 0, b.binary("%", asked, extent))
+    b.add(lir.If(b.outside(asked, extent), tuple(beyond), ()))
+    return b.load_var(wrapped)
 
 
 def _check(
@@ -159,15 +183,16 @@ def _check(
     grid: Relation,
     asked: Values,
     settled: Values,
-    offsets: tuple[int, ...] | None,
+    reached: Sequence[range | None],
 ) -> None:
-    """Fails where the row does not exist; in a grid without rows that is always so."""
+    """Fails where the row does not exist, unless none asks for such; in a grid without rows that is always so."""
     if not grid.size:
-        checked = range(grid.ndim)
+        checked = list(range(grid.ndim))
     elif node in ctx.unchecked or node.edge is kir.Edge.CLAMP:
-        checked = range(0)
+        checked = []
     else:
-        checked = [d for d in range(grid.ndim) if not grid.periodic[d] and (offsets is None or offsets[d])]
+        may_leave = [not _within(span, 0, size) for span, size in zip(reached, grid.shape, strict=True)]
+        checked = [d for d in range(grid.ndim) if may_leave[d] and not grid.periodic[d]]
     outside = [ctx.build.outside(settled[d], ctx.extent(grid, d)) for d in checked]
     if outside:
         ctx.fail_if(ctx.build.any(outside), AffineSite(node), asked)
