@@ -172,14 +172,15 @@ class PtxBackend:
     """Makes PTX for each of ``CAPABILITIES``; kernels run on cpu.
 
     Attributes:
-        checked: the kernels that it was asked to run.
+        checked: the kernels that it was asked to run, if it is to keep them.
         images: the capability and the text of all that it made.
     """
 
-    def __init__(self, deterministic: bool = False) -> None:
+    def __init__(self, *, keep: bool = False, deterministic: bool = False) -> None:
         self.name = "ptx"
         self.accelerator = None
         self.checked: list[CheckedKernel] = []
+        self._keep = keep
         self.images: list[tuple[int, str]] = []
         self._cpu: Backend = cpu_backend(threads=1)
         self.stages, self.reorders = self._cpu.stages, self._cpu.reorders
@@ -197,7 +198,8 @@ class PtxBackend:
         ]
 
     def prepare(self, checked: CheckedKernel) -> PtxExecutable:
-        self.checked.append(checked)
+        if self._keep:
+            self.checked.append(checked)
         return PtxExecutable(self._cpu.prepare(checked), [gpu.prepare(checked) for gpu in self._gpus])
 
     def replay(self, operations: Any) -> Any:

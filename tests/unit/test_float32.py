@@ -39,7 +39,7 @@ def in_float32(checked: CheckedKernel) -> bool:
 
 def prepared(monkeypatch: pytest.MonkeyPatch, run) -> list[CheckedKernel]:
     """The kernels that ``run`` launches."""
-    with ptx.emitting(monkeypatch) as made:
+    with ptx.emitting(monkeypatch, keep=True) as made:
         run()
     return made.checked
 
