@@ -10,7 +10,7 @@ import pytest
 
 import ebb
 
-from .harness import evaluate, evaluate_each
+from .harness import evaluate, evaluate_each, rows_with
 
 FLOATS = {
     ebb.float32: [0.0, -0.0, 1.0, -1.0, 2.5, -2.5, 3.0, 1e-40, 3e38, np.inf, -np.inf, np.nan],
@@ -173,3 +173,24 @@ def test_rounding_to_integers(backend):
         "math.floor(r.x) * 10 + math.ceil(r.x)", ebb.int64, {"math": math}, x=(ebb.float32, [1.5, -1.5, 2.0])
     )
     np.testing.assert_array_equal(out, [12, -21, 22])
+
+
+@pytest.mark.parametrize("dtype", [ebb.float32, ebb.float64], ids=str)
+@pytest.mark.parametrize("fastmath", [False, True])
+def test_no_precision_loses_nan_and_infinity(backend, fastmath, dtype):
+    rows = rows_with(u=(dtype, [1.0, np.nan, np.inf, -np.inf]))
+    rows.new_field("nan", ebb.bool_)
+    rows.new_field("inf", ebb.bool_)
+    rows.new_field("least", dtype)
+
+    @ebb.kernel(fastmath=fastmath)
+    def look(r: rows):
+        x = r.u * 2 - 1
+        r.nan = math.isnan(x)
+        r.inf = math.isinf(x)
+        r.least = min(x, 5.0)
+
+    look(rows)
+    assert rows.nan.to_numpy().tolist() == [False, True, False, False]
+    assert rows.inf.to_numpy().tolist() == [False, False, True, True]
+    np.testing.assert_array_equal(rows.least.to_numpy(), [1.0, np.nan, 5.0, -np.inf])

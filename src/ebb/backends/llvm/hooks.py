@@ -23,6 +23,9 @@ NOT_ALWAYS_RIGHT = frozenset({"llvm.minimum", "llvm.maximum", "llvm.fptosi.sat",
 """The intrinsics that need not be the target's: what they do is said in plain instructions as well."""
 
 
+FAST = " reassoc nsz arcp contract afn"
+"""What LLVM may do to floats under ``fastmath``. NaN and infinity stay what they are."""
+
 PURE = " nounwind willreturn memory(none)"
 """The attributes of a function that depends on its operands alone and does nothing else."""
 
@@ -96,6 +99,7 @@ class Hooks:
             ``{type}`` stands for LLVM's ``f32`` or ``f64``, ``{suffix}`` for C's ``f`` or nothing, ``{operands}`` for
             OpenCL's ``f`` or ``d``, one an operand.
         convention: the calling convention of functions, with a space behind it if it is not C's.
+        fast: the flags of instructions on floats under ``fastmath``.
         missing: the intrinsics, of ``NOT_ALWAYS_RIGHT``, in whose place instructions are emitted.
         attributes: the attributes of the functions that run rows; ``{group_size}`` stands for the threads of a group.
         strips: which loops run in strips.
@@ -105,6 +109,7 @@ class Hooks:
 
     math: Mapping[str, str]
     convention: str
+    fast: str
     missing: frozenset[str]
     attributes: str
     strips: Strips
@@ -115,6 +120,7 @@ class Hooks:
 CPU = Hooks(
     math={**INTRINSICS, "gamma": "tgamma{suffix}", **{name: f"{name}{{suffix}}" for name in _LIBM}},
     convention="",
+    fast=FAST,
     missing=frozenset(),
     attributes='nounwind "prefer-vector-width"="512" "no-trapping-math"="true"',
     strips=Strips.NONE,

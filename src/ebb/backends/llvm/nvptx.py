@@ -5,7 +5,7 @@ What LLVM does with an intrinsic is taken where it is IEEE's: division and squar
 
 from __future__ import annotations
 
-from ebb.backends.llvm.hooks import INTRINSICS, Call, Groups, Hooks, Strips
+from ebb.backends.llvm.hooks import FAST, INTRINSICS, Call, Groups, Hooks, Strips
 
 TRIPLE = "nvptx64-nvidia-cuda"
 
@@ -30,6 +30,7 @@ NVPTX = Hooks(
         "gamma": "__nv_tgamma{suffix}",
     },
     convention="",
+    fast=FAST,
     missing=frozenset(),
     # Exactly so many threads: ptxas gives each as many registers as there are for so many.
     attributes='nounwind "nvvm.reqntid"="{group_size}"',

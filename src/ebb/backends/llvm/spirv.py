@@ -54,6 +54,8 @@ def spirv_hooks(float_adds: frozenset[int]) -> Hooks:
     return Hooks(
         math={**{name: INTRINSICS[name] for name in _INSTRUCTIONS}, **_MANGLED},
         convention="spir_func ",
+        # No reassoc: SPIR-V says that only together with there being no NaN and no infinity.
+        fast=" nsz arcp contract afn",
         missing=NOT_ALWAYS_RIGHT,
         attributes="nounwind",
         strips=Strips.NONE,

@@ -18,14 +18,9 @@ from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import variable_reads
 
-_FLAGS = {
-    lir.Precision.CONTRACT: " contract",
-    lir.Precision.FAST: " reassoc nsz arcp contract afn",
-}
-_SUM_FLAGS = {
-    lir.Precision.CONTRACT: " reassoc nsz contract",
-    lir.Precision.FAST: _FLAGS[lir.Precision.FAST],
-}
+_FUSED = " contract"
+_REGROUPED = " reassoc nsz contract"
+"""The flags of sums whose order means nothing, where several turns of a loop or rows are computed at once."""
 
 _AS_IT_IS = ('!"llvm.loop.isvectorized", i32 1', '!"llvm.loop.unroll.disable"')
 """What tells LLVM to leave a loop alone: that it is vectorised, and that it is not to be unrolled."""
@@ -46,8 +41,9 @@ class StatementEmitter(ABC):
         self.module = module
         self.memory = memory
         self.w = FunctionWriter(module)
-        self.flags = _FLAGS[program.precision]
-        self.sum_flags = _SUM_FLAGS[program.precision]
+        fast = program.precision is lir.Precision.FAST
+        self.flags = module.hooks.fast if fast else _FUSED
+        self.sum_flags = self.flags if fast or module.hooks.groups is not None else _REGROUPED
         self.forms: VectorForms = {}
         self.variable_reads = variable_reads((*program.block, *program.finish))
         self.temps: dict[int, str] = {program.block_number.number: "%block"}
