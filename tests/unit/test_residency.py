@@ -13,6 +13,7 @@ from ebb.relations.family import family_of
 from ebb.runtime.buffer import Buffer, Layout
 from ebb.runtime.copies import constant_on, constant_states
 from ebb.runtime.epoch import structure
+from ebb.runtime.threads import launching
 from fake_device import FakeDevice, run_on
 
 SIZE = 100
@@ -436,6 +437,20 @@ def test_a_download_that_fails_leaves_what_was(device, rows, error, look) -> Non
     assert not rows.a.buffer.is_current
     assert numbers(rows.b) == [0.0] * SIZE
     assert numbers(rows.a) == [number + 1.0 for number in range(SIZE)]
+
+
+@pytest.mark.parametrize("there", [False, True], ids=["not there", "there"])
+def test_an_interrupt_before_the_account_of_an_overwriting_launch(device, rows, there: bool) -> None:
+    if there:
+        run_on(device, lambda values: None, rows.a)
+    with pytest.raises(KeyboardInterrupt), launching():
+        memory = rows.a.buffer.on(device, overwritten=True)
+        device.launch(lambda: memory.values(rows.a.buffer).fill(5), 1, 1, ())
+        raise KeyboardInterrupt
+    seen = numbers(rows.a)
+    assert seen == ([5.0] * SIZE if there else list(range(SIZE)))
+    run_on(device, double, rows.a, overwritten=[rows.b])
+    assert numbers(rows.b) == [2 * value for value in seen]
 
 
 def test_a_launch_that_cannot_have_its_fields_does_not_run(device, rows, add) -> None:

@@ -120,6 +120,8 @@ class Copies:
         """The device's copy, made valid unless all of it will be overwritten."""
         held = self._held.get(device)
         if held is not None and held.valid:
+            if overwritten and self.is_current:
+                self.changed_on(device)  # now: of a launch that is interrupted nobody knows what it has written
             return held.memory
         with launching():
             # In the table before its bytes are taken: who changes the host's copy meanwhile then waits, and says so.
