@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 import re
+import signal
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -195,6 +197,25 @@ def test_a_forked_process_has_a_translator_of_its_own():
     os.close(reading)
     os.close(writing)
     assert image_of(axpy(float32)) == expected
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_process_ends_while_those_forked_from_it_go_on():
+    from ebb.backends.llvm.spirv_code import _Translator
+
+    translator = _Translator()
+    translator._running()
+    child = os.fork()
+    if child == 0:
+        signal.pause()
+        os._exit(0)
+    ended = threading.Thread(target=translator.end, daemon=True)
+    ended.start()
+    ended.join(30)
+    hangs = ended.is_alive()
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert not hangs
 
 
 def test_where_no_python_can_be_started_that_is_said(monkeypatch):

@@ -46,6 +46,7 @@ class _Translator:
         """Ends the process, if this one has started it."""
         process, self._process = self._process, None
         if process is not None and self._owner == os.getpid():
+            process.kill()  # not by the end of its input, which processes that were forked from this one hold open too
             process.communicate()
 
     def _ask(self, request: bytes) -> tuple[bool, bytes]:
@@ -64,7 +65,6 @@ class _Translator:
             return done and whole, answer
         finally:
             if not whole:  # interrupted, or it ended: the next request must not get this one's answer
-                process.kill()
                 self.end()
 
     def _running(self) -> subprocess.Popen[bytes]:
