@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import ebb
 from ebb.domains.errors_grid import OddGrid
 from ebb.domains.grid_arguments import check_geometry
 from ebb.domains.grid_elements import Kind, add_map, make_relations, plural
-from ebb.domains.grid_locate import LocatedRelation
+from ebb.domains.grid_locate import LocatedRelation, wrapper
 from ebb.errors import RelationError
 
 
@@ -28,6 +29,8 @@ class Grid:
         spacing: the lengths of the sides of a cell.
         periodic: for each dimension, whether it wraps.
         boundary_depth: how many layers of elements the boundary has, in each dimension; 0 in periodic ones.
+        precision: the type of the numbers of ``center``.
+        wrap: ``grid.wrap(pos)`` in kernels: the point in the domain that stands for ``pos``: periodic dimensions wrap.
         cells: between vertices. They, like all elements, have ``center`` (also called ``pos``), ``in_boundary`` and
             ``in_interior``, and the subsets ``interior`` and ``boundary``, ``inside`` and ``walls``.
         vertices: the corners of cells: one more than cells in each dimension, or as many where it is periodic.
@@ -81,9 +84,10 @@ class Grid:
         self.spacing = geometry.spacing
         self.periodic = geometry.periodic
         self.boundary_depth = geometry.depth
+        self.wrap: Callable[[Any], Any] = wrapper(geometry)
         self.coarse: Any = None
         self.fine: Any = None
-        self._precision = precision
+        self.precision = precision
         self._relations = make_relations(geometry)
         for kind, relation in self._relations.items():
             for element in kind.names:
@@ -134,7 +138,7 @@ class Grid:
                 raise RelationError(OddGrid(self.shape, odd))
             shape = tuple(count // 2 for count in self.shape)
             depth = tuple(map(min, self.boundary_depth, shape))
-            coarse = type(self)(shape, self.origin, self.extent, self.periodic, depth, precision=self._precision)
+            coarse = type(self)(shape, self.origin, self.extent, self.periodic, depth, precision=self.precision)
             self._link(coarse)
             self.coarse, coarse.fine = coarse, self
         return self.coarse

@@ -18,6 +18,8 @@ _FARTHEST = 2.0**62
 class LocatedRelation(ebb.Relation):
     """The cells of a grid, or of its dual: the rows contain points.
 
+    In kernels ``c.local(pos)`` is where a point lies in ``c``: in each dimension 0 at its lower end and 1 at its upper.
+
     Attributes:
         locate: a function for kernels: the cell that contains a point.
     """
@@ -29,6 +31,7 @@ class LocatedRelation(ebb.Relation):
         super().__init__(name, shape=shape, periodic=geometry.periodic)
         self.locate: Callable[[Any], Any] = _locator(self, geometry, first)
         self._place = _placer(self.locate)
+        self.member("local")(_local(geometry, first))
 
     def point_locate(self, key_field: ebb.Field, pos_field: ebb.Field) -> None:
         """Sets each key to the cell that contains the position: periodic dimensions wrap, the others clamp.
@@ -78,6 +81,49 @@ def _locator(target: ebb.Relation, geometry: Geometry, first: tuple[float, ...])
         return ebb.row_at(target, indices(ebb.floor(at)), edge="clamp")
 
     return locate
+
+
+def _local(geometry: Geometry, first: tuple[float, ...]) -> Callable[..., Any]:
+    """The member that gives the place of a point in an element, whose first one begins ``first`` cells from the origin.
+
+    It rounds as ``locate`` does: a point that is in the domain has a place from 0 on and below 1 in what contains it.
+    """
+
+    extents = _wraps(geometry, geometry.shape)
+
+    def local(
+        c: Any,
+        pos: Any,
+        origin: Any = geometry.origin,
+        spacing: Any = geometry.spacing,
+        first: Any = first,
+        extents: Any = extents,
+    ) -> Any:
+        at = (pos - origin) / spacing - first - ebb.coords(c)
+        for axis, count in extents:  # of its images, the one nearest to the element
+            at[axis] -= count * ebb.floor((at[axis] - 0.5) / count + 0.5)
+        return at
+
+    return local
+
+
+def wrapper(geometry: Geometry) -> Callable[[Any], Any]:
+    """The function ``wrap`` of a grid: moves a point by whole lengths of periodic dimensions."""
+    lengths = _wraps(geometry, geometry.extent)
+
+    @ebb.func
+    def wrap(pos: Any, origin: Any = geometry.origin, lengths: Any = lengths) -> Any:
+        inside = pos
+        for axis, length in lengths:
+            inside[axis] -= length * ebb.floor((pos[axis] - origin[axis]) / length)
+        return inside
+
+    return wrap
+
+
+def _wraps(geometry: Geometry, lengths: tuple[float, ...]) -> tuple[tuple[int, float], ...]:
+    """The periodic dimensions, and what they are long."""
+    return tuple((axis, length) for axis, length in enumerate(lengths) if geometry.periodic[axis])
 
 
 def _placer(locate: Callable[[Any], Any]) -> Callable[..., None]:
