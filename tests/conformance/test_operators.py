@@ -139,6 +139,34 @@ def test_integers_wrap(backend):
     np.testing.assert_array_equal(out, [2**32 - 1, 4])
 
 
+WORDS = np.array([0, 1, 3, 2**16 - 1, 2**16, 2**31, 2**32 - 2, 2**32 - 1], dtype=np.uint32)
+OTHERS = WORDS[[7, 0, 3, 4, 4, 1, 2, 7]]
+OVERFLOWS = {
+    "r.u * ebb.uint32(10) // ebb.uint32(10) != r.u": WORDS * np.uint32(10) // np.uint32(10) != WORDS,
+    "ebb.uint64(r.u) * ebb.uint64(r.v) > ebb.uint64(4294967295)": WORDS.astype(np.uint64) * OTHERS > 2**32 - 1,
+    "r.u + r.v < r.u": WORDS + OTHERS < WORDS,
+    "r.u - r.v > r.u": WORDS - OTHERS > WORDS,
+    "ebb.uint64(ebb.int64(r.s) + ebb.int64(r.t) + 2147483648) > ebb.uint64(4294967295)": (
+        abs(WORDS.astype(np.int32).astype(np.int64) + OTHERS.astype(np.int32) + 0.5) > 2**31
+    ),
+}
+
+
+def test_tests_for_overflow(backend):
+    fields = {"u": (ebb.uint32, WORDS), "v": (ebb.uint32, OTHERS)}
+    fields |= {"s": (ebb.int32, WORDS.astype(np.int32)), "t": (ebb.int32, OTHERS.astype(np.int32))}
+    found = evaluate_each(dict.fromkeys(OVERFLOWS, ebb.bool_), **fields)
+    for expression, expected in OVERFLOWS.items():
+        np.testing.assert_array_equal(found[expression], expected, err_msg=expression)
+
+
+def test_six_bytes_are_turned_round(backend):
+    numbers = np.array([0, 1, 0x0102030405060708, 2**63 - 1], dtype=np.uint64)
+    moved = [f"((r.n >> ebb.uint64({8 * k}) & ebb.uint64(255)) << ebb.uint64({40 - 8 * k}))" for k in range(6)]
+    found = evaluate(" | ".join(moved), ebb.uint64, n=(ebb.uint64, numbers))
+    np.testing.assert_array_equal(found, numbers.byteswap() >> np.uint64(16))
+
+
 def test_unsigned_division_and_shift(backend):
     out = evaluate("r.a // 2 + (r.a >> 31)", ebb.uint32, a=(ebb.uint32, [2**32 - 1, 6]))
     np.testing.assert_array_equal(out, [2**31 - 1 + 1, 3])

@@ -227,6 +227,22 @@ def test_a_reduction_in_branches_and_loops(backend):
     np.testing.assert_array_equal(vertices.n.to_numpy(), expected)
 
 
+def test_bools_of_a_group_are_cleared(backend):
+    nodes = ebb.Relation("nodes", size=2)
+    links = ebb.Relation("links", size=11)
+    links.new_field("node", nodes, init=[0] * 5 + [1] * 6)
+    links.new_field("on", ebb.bool_, init=True)
+    links.group_by("node")
+
+    @ebb.kernel
+    def clear(n: nodes):
+        for link in ebb.where(links.node, n):
+            link.on &= False
+
+    clear(nodes)
+    assert not links.on.to_numpy().any()
+
+
 def test_two_fields_reduced_with_different_operators(backend):
     vertices, edges, ends, weight = graph(9, 65)
     vertices.new_field("low", ebb.int32, init=1000)

@@ -38,10 +38,9 @@ def optimize(text: str, target: Target) -> Any:
             link(module)
             _pipeline(module, machine, vectorize=False)
         case Form.SPIRV:
-            from ebb.backends.llvm.spirv_passes import check, simplify
+            from ebb.backends.llvm.spirv_passes import simplified
 
-            simplify(module, machine)
-            check(module)
+            module = simplified(module, machine)
     return module
 
 
