@@ -178,7 +178,7 @@ class PtxBackend:
 
     def __init__(self, *, keep: bool = False, deterministic: bool = False) -> None:
         self.name = "ptx"
-        self.accelerator = None
+        self.device = None
         self.checked: list[CheckedKernel] = []
         self._keep = keep
         self.images: list[tuple[int, str]] = []
@@ -189,7 +189,6 @@ class PtxBackend:
                 "ptx",
                 NoGpu(capability, self.images),
                 nvptx(capability),
-                "ptx",
                 ObjectCache(cache_directory()),
                 deterministic,
                 self.reorders,

@@ -98,6 +98,6 @@ def _opencl_array(view: DeviceView, device: Device) -> Array:
 
 def _device_of(backend: str, function: str, field: Field) -> Device:
     current = current_backend()
-    if current.name != backend or current.accelerator is None:
+    if current.name != backend or current.device is None:
         raise BackendError(NoSuchView(function, field.path, backend, current.name))
-    return current.accelerator
+    return current.device

@@ -138,7 +138,7 @@ def test_arguments_of_host_functions_that_are_no_names():
 
 def test_a_number_of_threads_from_numpy():
     with ebb.backend("cpu", threads=np.int64(2)):
-        assert current_backend().device.threads == 2
+        assert current_backend().processor.threads == 2
 
 
 def test_fields_and_keys_are_no_parameters(backend):

@@ -65,7 +65,7 @@ class RecordingDevice(FakeDevice):
 def device():
     """A recording device, which is what all kernels run on meanwhile."""
     found = RecordingDevice()
-    with running_on(DeviceBackend("recorder", found, spirv(), "spirv", ObjectCache(), False, True)):
+    with running_on(DeviceBackend("recorder", found, spirv(), ObjectCache(), False, True)):
         yield found
 
 
@@ -719,4 +719,4 @@ def test_a_choice_of_options_is_one_backend():
         with ebb.backend("opencl", **options):
             chosen.append(select.current_backend())
     assert chosen[0] is chosen[1] is chosen[3] is not chosen[2]
-    assert chosen[0].accelerator is chosen[2].accelerator
+    assert chosen[0].device is chosen[2].device

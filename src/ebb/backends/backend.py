@@ -156,7 +156,7 @@ class Backend(Protocol):
         ...
 
     @property
-    def accelerator(self) -> Device | None:
+    def device(self) -> Device | None:
         """The device that kernels run on, None where that is the processor."""
         ...
 

@@ -65,14 +65,17 @@ def check_private_bytes(kernel: str, size: int) -> None:
         raise BackendError(VariablesTooLarge(kernel, size, MOST_PRIVATE_BYTES))
 
 
-def llvm_text(program: lir.Program, target: Target) -> str:
-    """``program`` as LLVM IR after LLVM's own passes."""
-    return str(_module(program, target))
+def stages_of(target: Target) -> tuple[str, ...]:
+    """The stages beyond KIR that ``kernel.inspect`` can show of programs for ``target``."""
+    return ("lir", "llvm", target.form.value)
 
 
-def assembly_text(program: lir.Program, target: Target) -> str:
-    """``program`` in the target's assembly language."""
-    return target.assembly(_module(program, target))
+def stage_text(program: lir.Program, target: Target, stage: str) -> str:
+    """``program`` at one of the stages: LIR, LLVM IR after LLVM's own passes, or the target's assembly language."""
+    if stage == "lir":
+        return lir_print.text(program)
+    module = _module(program, target)
+    return str(module) if stage == "llvm" else target.assembly(module)
 
 
 def needs(program: lir.Program) -> frozenset[Feature]:

@@ -14,8 +14,11 @@ from ebb.records import record
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
 
-_Code = TypeVar("_Code")
-_Binding = TypeVar("_Binding", bound=Bound)
+CodeT = TypeVar("CodeT")
+"""What a program is compiled to and loaded as."""
+
+BindingT = TypeVar("BindingT", bound=Bound)
+"""Code with what it takes, on one set of rows."""
 
 
 @record
@@ -39,15 +42,15 @@ class Lowering:
         )
 
 
-class KernelCode(Generic[_Code, _Binding]):
+class KernelCode(Generic[CodeT, BindingT]):
     """One kernel on one backend."""
 
     def __init__(
         self,
         step: Step,
         lowering: Lowering,
-        load: Callable[[lir.Program], _Code],
-        attach: Callable[[Step, lir.Program, _Code, RowSet], _Binding],
+        load: Callable[[lir.Program], CodeT],
+        attach: Callable[[Step, lir.Program, CodeT, RowSet], BindingT],
     ) -> None:
         """A kernel of which nothing is compiled yet.
 
@@ -62,10 +65,10 @@ class KernelCode(Generic[_Code, _Binding]):
         self._load = load
         self._attach = attach
         self._sources = sources_of(step.kernel)
-        self._compiled: dict[tuple[Launched, State], tuple[lir.Program, _Code]] = {}
-        self._bindings: dict[tuple[RowSet, State], _Binding] = {}
+        self._compiled: dict[tuple[Launched, State], tuple[lir.Program, CodeT]] = {}
+        self._bindings: dict[tuple[RowSet, State], BindingT] = {}
 
-    def bind(self, rows: RowSet) -> _Binding:
+    def bind(self, rows: RowSet) -> BindingT:
         """The code for the data as it is, bound to ``rows``: compiled, where it is met so for the first time.
 
         Args:
@@ -85,7 +88,7 @@ class KernelCode(Generic[_Code, _Binding]):
         """The program for a launch on ``rows`` and the data as they are."""
         return self._lowering.lower(self._step, self._sources.facts(self._sources.state()), launched_as(rows))
 
-    def _compile(self, launched: Launched, state: State) -> tuple[lir.Program, _Code]:
+    def _compile(self, launched: Launched, state: State) -> tuple[lir.Program, CodeT]:
         found = self._compiled.get((launched, state))
         if found is None:
             program = self._lowering.lower(self._step, self._sources.facts(state), launched)

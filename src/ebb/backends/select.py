@@ -13,7 +13,7 @@ from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.device import use_device
 from ebb.runtime.epoch import structure_changed
-from ebb.runtime.errors import UnknownBackend, UnknownBackendOption
+from ebb.runtime.errors import BadSwitch, UnknownBackend, UnknownBackendOption
 from ebb.runtime.recording import refuse
 
 
@@ -23,17 +23,20 @@ def _reference_backend() -> Backend:
     return reference_backend()
 
 
-def _opencl_backend(device: Any = None, deterministic: Any = False, reorder: Any = True) -> Backend:
+def _opencl_backend(device: Any = None, deterministic: bool = False, reorder: bool = True) -> Backend:
     from ebb.backends.devices.select import opencl_backend  # here: not every machine has such a device
 
     return opencl_backend(device, deterministic, reorder)
 
 
-def _cuda_backend(device: Any = 0, deterministic: Any = False, reorder: Any = True) -> Backend:
+def _cuda_backend(device: Any = 0, deterministic: bool = False, reorder: bool = True) -> Backend:
     from ebb.backends.devices.select import cuda_backend
 
     return cuda_backend(device, deterministic, reorder)
 
+
+_SWITCHES = frozenset({"reorder", "atomics", "deterministic"})
+"""The options that are True or False."""
 
 #: How to make each backend, and the options that it takes.
 BACKENDS: Mapping[str, tuple[Callable[..., Backend], tuple[str, ...]]] = {
@@ -104,7 +107,7 @@ def current_backend() -> Backend:
 def _select(backend: Backend | None) -> None:
     """Makes ``backend`` the current one; None: what is current is decided when it is first needed."""
     _selection.backend = backend
-    use_device(None if backend is None else backend.accelerator)
+    use_device(None if backend is None else backend.device)
     structure_changed()
 
 
@@ -112,7 +115,9 @@ def _make_backend(name: str, options: Mapping[str, Any]) -> Backend:
     if not isinstance(name, str) or name not in BACKENDS:  # pyright: ignore[reportUnnecessaryIsInstance]
         raise BackendError(UnknownBackend(str(name), tuple(BACKENDS)))
     make, accepted = BACKENDS[name]
-    for option in options:
+    for option, value in options.items():
         if option not in accepted:
             raise BackendError(UnknownBackendOption(name, option, accepted))
+        if option in _SWITCHES and not isinstance(value, bool):
+            raise BackendError(BadSwitch(name, option, value))
     return make(**options)

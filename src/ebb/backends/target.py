@@ -20,11 +20,11 @@ from ebb.runtime.symbols import libmvec_versions
 
 
 class Form(Enum):
-    """What programs are compiled to."""
+    """What programs are compiled to. The values are the stages of ``kernel.inspect`` that show it as text."""
 
-    OBJECT = "an object file"
-    SPIRV = "a SPIR-V module"
-    PTX = "PTX"
+    OBJECT = "asm"
+    SPIRV = "spirv"
+    PTX = "ptx"
 
 
 @record(eq=False)

@@ -5,21 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from ebb.backends.backend import CheckedKernel
-from ebb.backends.compile import assembly_text, llvm_text
+from ebb.backends.compile import stage_text
 from ebb.backends.kernel_code import Lowering, launched_as, precision_of, step_of
 from ebb.backends.target import Target, nvptx, spirv
-from ebb.compiler import lir, lir_print
+from ebb.compiler import lir
 from ebb.compiler.lower import facts_of
 
-STAGES: Mapping[str, Callable[[lir.Program, Target], str]] = {
-    "lir": lambda program, _: lir_print.text(program),
-    "llvm": llvm_text,
-    "spirv": assembly_text,
-    "ptx": assembly_text,
-}
-
-_CAPABILITY = 80
-"""What ``ptx`` is for where there is no device to ask."""
+_TARGETS: Mapping[str, Callable[[], Target]] = {"ptx": lambda: nvptx(80), "spirv": spirv}
+"""What each stage of ``ANYWHERE`` is for where there is no device to ask."""
 
 
 def text_without_device(checked: CheckedKernel, stage: str) -> str:
@@ -31,4 +24,4 @@ def text_without_device(checked: CheckedKernel, stage: str) -> str:
     kernel = checked.kernel
     lowering = Lowering(precision_of(checked.hints), lir.Updates.ATOMIC, checked.hints.block_size)
     program = lowering.lower(step_of(checked), facts_of(kernel), launched_as(kernel.relation))
-    return STAGES[stage](program, spirv() if stage == "spirv" else nvptx(_CAPABILITY))
+    return stage_text(program, _TARGETS[stage](), stage)

@@ -70,7 +70,7 @@ class ReferenceBackend:
 
     name: str = "reference"
     stages: tuple[str, ...] = ()
-    accelerator: None = None
+    device: None = None
     reorders: bool = False
 
     def prepare(self, checked: CheckedKernel) -> ReferenceExecutable:
