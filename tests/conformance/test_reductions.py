@@ -7,7 +7,7 @@ import pytest
 
 import ebb
 
-from .harness import graph, kernel_of, sizes_for
+from .harness import LARGE, graph, kernel_of, sizes_for
 
 # ---- Into other rows ----
 
@@ -106,6 +106,48 @@ def reduce_everywhere(op, types, rows_count=130, others_count=20):
 @pytest.mark.parametrize("op", OPERATORS)
 def test_every_operator_on_every_scalar_type(backend, op):
     reduce_everywhere(op, [SCALARS[letter] for letter in OPERATORS[op][2]])
+
+
+def many_values(random, scalar, op):
+    """A value a row: so that a lost update shows, and floats come out exact in any order."""
+    few, bits = random.random(LARGE) < 1e-4, 1 << random.integers(0, 8, LARGE)
+    match op:
+        case "&":
+            values = ~few if scalar == ebb.bool_ else np.where(few, ~bits, -1)
+        case "|":
+            values = few if scalar == ebb.bool_ else np.where(few, bits, 0)
+        case "*" if scalar.dtype.kind == "f":
+            values = random.choice([-1, 1], LARGE)
+        case _:
+            values = random.integers(0, 2 if scalar == ebb.bool_ else 50, LARGE)
+    return values.astype(scalar.dtype)
+
+
+STARTS = {"*": 1, "min": 100, "&": -1}
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("op", OPERATORS)
+def test_many_rows_reduce_into_few(compiled, op, count):
+    """Updates that meet in one place: none may be lost, of numbers of any width."""
+    random = np.random.default_rng(9)
+    rows, others = ebb.Relation("rows", size=LARGE), ebb.Relation("others", size=count)
+    to = random.integers(0, count, LARGE)
+    rows.new_field("k", others, init=to)
+    statement, function, letters = OPERATORS[op]
+    expected, body = {}, []
+    for letter in letters:
+        values = many_values(random, SCALARS[letter], op)
+        start = np.full(count, STARTS.get(op, 0)).astype(values.dtype)
+        rows.new_field(letter, SCALARS[letter], init=values)
+        others.new_field(letter, SCALARS[letter], init=start)
+        body.append(statement.format(place=f"r.k.{letter}", value=f"r.{letter}"))
+        with np.errstate(over="ignore"):
+            function.at(start, to, values)
+        expected[letter] = start
+    kernel_of("\n".join(body), rows=rows)(rows)
+    for letter, values in expected.items():
+        np.testing.assert_array_equal(others.fields[letter].to_numpy(), values, err_msg=letter)
 
 
 @pytest.mark.parametrize("op", OPERATORS)

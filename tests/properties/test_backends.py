@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
@@ -63,6 +64,27 @@ def opencl():
 @given(data=st.data())
 def test_opencl_is_the_reference(opencl, data):
     check_backends(data.draw(programs(25)), OPENCL)
+
+
+@settings(max_examples=30, derandomize=True, **QUIET)
+@given(data=st.data())
+def test_opencl_takes_rows_in_any_order(opencl, data):
+    program = data.draw(programs(35))
+    random = np.random.default_rng(program.seed)
+    with defined(program) as kernel:
+        try:
+            kernel.check(program.relation)
+        except ebb.EbbError:
+            assume(False)
+        expected, failure = run_on(program, kernel, "reference")
+        for name in ("nodes", "links"):
+            relation = program.world.relations[name]
+            relation.permute(random.permutation(relation.size))
+        for _, options in OPENCL:
+            found, codes = run_on(program, kernel, "opencl", **options)
+            assert bool(codes) == bool(failure)  # of several failures another may come first
+            if not failure:
+                assert difference(expected, found) is None
 
 
 @pytest.mark.slow
