@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Literal, overload
 
 from ebb.backends.select import current_backend
 from ebb.errors import BackendError
-from ebb.relations.device_view import DeviceView, device_view, writable_device_view
 from ebb.relations.field import Field
 from ebb.runtime.device import Device
-from ebb.runtime.errors_devices import NoSuchView
 
 if TYPE_CHECKING:
     from pyopencl.array import Array
+
+    from ebb.relations.device_view import DeviceView
 
 __all__ = ["cuda_array", "opencl_array"]
 
@@ -47,6 +47,8 @@ def cuda_array(field: Field, write: bool = False) -> DeviceView | AbstractContex
         RelationError: ``write`` on a field of keys, or a writable view of it is open.
         BackendError: kernels do not run on ``cuda``, or a step is being captured.
     """
+    from ebb.relations.device_view import device_view, writable_device_view  # here: few programs ask for it
+
     device = _device_of("cuda", "ebb.interop.cuda_array", field)
     return writable_device_view(field, device) if write else device_view(field, device)
 
@@ -75,12 +77,16 @@ def opencl_array(field: Field, write: bool = False) -> Array | AbstractContextMa
         RelationError: ``write`` on a field of keys, or a writable view of it is open.
         BackendError: kernels do not run on ``opencl``, or a step is being captured.
     """
+    from ebb.relations.device_view import device_view
+
     device = _device_of("opencl", "ebb.interop.opencl_array", field)
     return _writable_opencl_array(field, device) if write else _opencl_array(device_view(field, device), device)
 
 
 @contextmanager
 def _writable_opencl_array(field: Field, device: Device) -> Generator[Array, None, None]:
+    from ebb.relations.device_view import writable_device_view
+
     with writable_device_view(field, device) as view:
         yield _opencl_array(view, device)
 
@@ -99,5 +105,7 @@ def _opencl_array(view: DeviceView, device: Device) -> Array:
 def _device_of(backend: str, function: str, field: Field) -> Device:
     current = current_backend()
     if current.name != backend or current.device is None:
+        from ebb.runtime.errors_devices import NoSuchView
+
         raise BackendError(NoSuchView(function, field.path, backend, current.name))
     return current.device

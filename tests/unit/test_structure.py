@@ -51,6 +51,8 @@ SLOW = (
     "ebb.backends.devices",
     "ebb.backends.llvm.emit",
     "ebb.backends.reference",
+    "ebb.relations.device_view",
+    "ebb.runtime.errors_devices",
     "ebb.compiler.explain",
     "ebb.diagnostics.render",
     "ebb.runtime.opencl",
