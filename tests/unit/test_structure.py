@@ -51,10 +51,10 @@ SLOW = (
     "ebb.backends.devices",
     "ebb.backends.llvm.emit",
     "ebb.backends.reference",
-    "ebb.relations.device_view",
-    "ebb.runtime.errors_devices",
     "ebb.compiler.explain",
     "ebb.diagnostics.render",
+    "ebb.relations.device_view",
+    "ebb.runtime.errors_devices",
     "ebb.runtime.opencl",
 )
 
