@@ -71,11 +71,24 @@ def stages_of(target: Target) -> tuple[str, ...]:
 
 
 def stage_text(program: lir.Program, target: Target, stage: str) -> str:
-    """``program`` at one of the stages: LIR, LLVM IR after LLVM's own passes, or the target's assembly language."""
-    if stage == "lir":
-        return lir_print.text(program)
-    module = _module(program, target)
-    return str(module) if stage == "llvm" else target.assembly(module)
+    """``program`` at one of ``stages_of(target)``."""
+    match stage:
+        case "lir":
+            return lir_print.text(program)
+        case "llvm":
+            return llvm_text(program, target)
+        case _:
+            return assembly_text(program, target)
+
+
+def llvm_text(program: lir.Program, target: Target) -> str:
+    """``program`` as LLVM IR after LLVM's own passes."""
+    return str(_module(program, target))
+
+
+def assembly_text(program: lir.Program, target: Target) -> str:
+    """``program`` in the target's assembly language."""
+    return target.assembly(_module(program, target))
 
 
 def needs(program: lir.Program) -> frozenset[Feature]:
