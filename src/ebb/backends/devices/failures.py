@@ -49,7 +49,11 @@ class FailureRecords:
         self._clear = False
 
     def take(self) -> Failure | None:
-        """Waits for the launch, and gives the failure of the row that comes first in it, or None."""
+        """Waits for the launch, and gives the failure of the row that comes first in it, or None.
+
+        Where more threads than there is room for fail at one moment, the first row's record may be gone: then it is
+        the first of those that are left.
+        """
         self._device.download(self.memory, self._head)
         count = int(self._words[FAILURE_COUNT])
         if not count:
