@@ -15,7 +15,7 @@ import ebb
 from ebb.backends.cache import cache_directory, cache_limit, cache_usage
 from ebb.backends.select import BACKENDS
 from ebb.errors import BackendError
-from ebb.relations.table import memory
+from ebb.relations.table import bytes_text
 from ebb.runtime import cuda, opencl
 from ebb.runtime.opencl_runtime import HAS_WHEEL
 from ebb.runtime.threads import describe_threads, thread_count
@@ -73,7 +73,8 @@ def _cache() -> str:
     if not os.path.isdir(there) or not os.access(there, os.W_OK | os.X_OK):
         return f"{folder}, which cannot be written: set EBB_CACHE_DIR, or every run compiles its kernels again"
     kernels, taken = cache_usage(folder)
-    return f"{folder}: {kernels:,} kernel{'' if kernels == 1 else 's'}, {memory(taken)} of at most {memory(limit)}"
+    count = f"{kernels:,} kernel{'' if kernels == 1 else 's'}"
+    return f"{folder}: {count}, {bytes_text(taken)} of at most {bytes_text(limit)}"
 
 
 def _backend(name: str) -> str:

@@ -12,15 +12,12 @@ import numpy as np
 
 from ebb.errors import RelationError
 from ebb.relations.errors import KeysNotWritable
-from ebb.runtime.device import Device
+from ebb.runtime.device import DLPACK_CUDA, Device
 from ebb.runtime.recording import refuse
 from ebb.runtime.threads import launching
 
 if TYPE_CHECKING:
     from ebb.relations.field import Field
-
-CUDA = 2
-"""DLPack's number of the memory of NVIDIA's GPUs."""
 
 _NO_STREAM, _LEGACY_STREAM = -1, 1
 """What a consumer says that wants no order, and the stream that all of Ebb's work goes to."""
@@ -57,7 +54,7 @@ class DeviceView:
     def __cuda_array_interface__(self) -> dict[str, Any]:
         """Its address and its form, as Numba, CuPy and PyTorch read them."""
         kind = self._device.dlpack_device
-        if kind is None or kind[0] != CUDA:
+        if kind is None or kind[0] != DLPACK_CUDA:
             raise AttributeError("this memory is not a GPU's of NVIDIA's")
         return {**self._interface(self.writable), "stream": _LEGACY_STREAM}
 

@@ -8,7 +8,7 @@ from ebb.records import record
 from ebb.relations.field import all_fields
 from ebb.relations.globals import all_globals
 from ebb.relations.subset import all_subsets
-from ebb.relations.table import memory as bytes_text
+from ebb.relations.table import bytes_text
 from ebb.runtime.buffer import Array, Buffer
 from ebb.runtime.copies import Copies, CopyState, constant_states, traffic
 

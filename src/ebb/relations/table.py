@@ -20,8 +20,8 @@ def table(
 ) -> str:
     """The table of a relation; ``periodic`` is None where it is no grid."""
     fields = [found for found in attributes.values() if isinstance(found, Field)]
-    lines = [f"{name}: {_extent(shape, periodic)}, {memory(sum(field.buffer.nbytes for field in fields))}"]
-    rows = [(f.name, repr(f.type), memory(f.buffer.nbytes), "grouped" if f.grouping else "") for f in fields]
+    lines = [f"{name}: {_extent(shape, periodic)}, {bytes_text(sum(field.buffer.nbytes for field in fields))}"]
+    rows = [(f.name, repr(f.type), bytes_text(f.buffer.nbytes), "grouped" if f.grouping else "") for f in fields]
     widths = [max((len(row[column]) for row in rows), default=0) for column in range(3)]
     for field, type_, size, note in rows:
         text = f"  {field:<{widths[0]}}  {type_:<{widths[1]}}  {size:>{widths[2]}}  {note}"
@@ -32,7 +32,7 @@ def table(
     return "\n".join(lines)
 
 
-def memory(nbytes: int) -> str:
+def bytes_text(nbytes: int) -> str:
     """A number of bytes in the unit that keeps it short: ``12.0 KiB``."""
     value, unit = float(nbytes), 0
     while value >= 1024 and unit < len(_UNITS) - 1:

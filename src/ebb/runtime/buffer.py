@@ -67,7 +67,7 @@ class Buffer:
     @property
     def is_only_on_host(self) -> bool:
         """Whether no device has a valid copy."""
-        return self.copies.is_only_here
+        return self.copies.is_only_on_host
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -69,7 +69,7 @@ def tell_host_code() -> None:
 
 
 @record(frozen=False, eq=False)
-class _Held:
+class _DeviceCopy:
     """A device's copy."""
 
     memory: Memory
@@ -93,12 +93,12 @@ class Copies:
         is_current: whether the host's copy is valid.
     """
 
-    __slots__ = ("_held", "host", "is_current")
+    __slots__ = ("_on_devices", "host", "is_current")
 
     def __init__(self, host: Bytes) -> None:
         self.host = host
         self.is_current = True
-        self._held: dict[Device, _Held] = {}
+        self._on_devices: dict[Device, _DeviceCopy] = {}
 
     def refresh(self) -> None:
         """Makes the host's copy valid: waits for the device whose copy is, and downloads it.
@@ -109,56 +109,56 @@ class Copies:
         with launching():
             if self.is_current:  # another thread was quicker
                 return
-            device, held = next(item for item in self._held.items() if item[1].valid)
+            device, copy = next(item for item in self._on_devices.items() if item[1].valid)
             if self.host.size:
-                device.download(held.memory, self.host)
+                device.download(copy.memory, self.host)
                 traffic.downloads += 1
                 traffic.downloaded += self.host.size
             self.is_current = True
 
     def on(self, device: Device, overwritten: bool) -> Memory:
         """The device's copy, made valid unless all of it will be overwritten."""
-        held = self._held.get(device)
-        if held is not None and held.valid:
+        copy = self._on_devices.get(device)
+        if copy is not None and copy.valid:
             if overwritten and self.is_current:
                 self.changed_on(device)  # now: of a launch that is interrupted nobody knows what it has written
-            return held.memory
+            return copy.memory
         with launching():
             # In the table before its bytes are taken: who changes the host's copy meanwhile then waits, and says so.
-            held = self._held.get(device)
-            if held is None:
-                held = self._held[device] = _Held(device.allocate(_whole_grains(self.host.size)))
-            if not (held.valid or overwritten):
+            copy = self._on_devices.get(device)
+            if copy is None:
+                copy = self._on_devices[device] = _DeviceCopy(device.allocate(_whole_grains(self.host.size)))
+            if not (copy.valid or overwritten):
                 self.refresh()
                 tell_host_code()
-                _upload(device, held.memory, self.host)
-                held.valid = True
-            return held.memory
+                _upload(device, copy.memory, self.host)
+                copy.valid = True
+            return copy.memory
 
     def changed_on(self, device: Device) -> None:
         """Says that the copy that ``on`` gave is the only valid one. The caller holds ``launching()`` since then."""
-        held = self._held[device]
-        if held.valid and not self.is_current and len(self._held) == 1:
+        copy = self._on_devices[device]
+        if copy.valid and not self.is_current and len(self._on_devices) == 1:
             return
         with launching():
-            held.valid = True  # first: one copy is valid, whenever an interrupt comes
+            copy.valid = True  # first: one copy is valid, whenever an interrupt comes
             tell_host_code()
             self.is_current = False
-            for other in self._held.values():
-                if other is not held:
+            for other in self._on_devices.values():
+                if other is not copy:
                     other.valid = False
 
     def changed_on_host(self) -> None:
         """Says that the host's copy is the only valid one."""
-        if self._held:
+        if self._on_devices:
             with launching():
                 self.is_current = True
-                for held in self._held.values():
-                    held.valid = False
+                for copy in self._on_devices.values():
+                    copy.valid = False
 
     def overwrite(self, target: npt.NDArray[Any], values: Any) -> None:
         """Sets ``target``, an array on all of the host's copy, to ``values``, without looking at what was there."""
-        if self._held:
+        if self._on_devices:
             with launching():
                 if self.is_current:
                     self.changed_on_host()
@@ -169,13 +169,13 @@ class Copies:
             self.changed_on_host()  # should a device have taken a copy meanwhile
 
     @property
-    def is_only_here(self) -> bool:
+    def is_only_on_host(self) -> bool:
         """Whether no device has a valid copy."""
-        return not self._held or not any([held.valid for held in list(self._held.values())])
+        return not self._on_devices or not any([copy.valid for copy in list(self._on_devices.values())])
 
     def states(self) -> tuple[CopyState, ...]:
         """The devices' copies."""
-        return tuple([CopyState(d.name, held.memory.nbytes, held.valid) for d, held in list(self._held.items())])
+        return tuple([CopyState(d.name, copy.memory.nbytes, copy.valid) for d, copy in list(self._on_devices.items())])
 
 
 # ---- Arrays that never change ----

@@ -18,13 +18,14 @@ import numpy as np
 from ebb.errors import BackendError
 from ebb.runtime import device
 from ebb.runtime.buffer import Array
-from ebb.runtime.device import Feature
+from ebb.runtime.device import DLPACK_CUDA, Feature
 from ebb.runtime.errors_devices import (
     CodeRefused,
     DeviceFailed,
     DeviceLacks,
     LaunchTooLarge,
     OutOfDeviceMemory,
+    forked,
 )
 
 OLDEST = 60
@@ -32,9 +33,6 @@ OLDEST = 60
 
 MOST_GROUPS = 2**31 - 1
 """How many groups a launch may have."""
-
-_KIND = 2
-"""DLPack's number of CUDA's memory."""
 
 MOST_STAGED, MOST_COPIES = 1 << 16, 1 << 8
 """Uploads of so many bytes are from copies, of which there are at most so many before somebody waits."""
@@ -124,7 +122,7 @@ class CudaDevice:
         self._open = False
         self.name = f"cuda {number}"
         self.lacks = frozenset({Feature.FLOAT32_MIN_MAX, Feature.FLOAT64_MIN_MAX})
-        self.dlpack_device = (_KIND, number)
+        self.dlpack_device = (DLPACK_CUDA, number)
         self.taken = 0
         self._staged: list[Array] = []
         handle = self._result("being opened", driver.cuDeviceGet(number))
@@ -258,9 +256,7 @@ class CudaDevice:
 
     def _call(self, action: str, function: Callable[..., Any], *arguments: Any) -> Any:
         if os.getpid() != self._process:
-            reason = "it was opened by the process from which this one was forked, and does not work here"
-            remedy = 'start processes afresh: multiprocessing.set_start_method("spawn")'
-            raise BackendError(DeviceFailed(self.name, "being used", reason, (remedy,)))
+            raise BackendError(forked(self.name))
         return self._result(action, self._in_context(function, *arguments))
 
     def _in_context(self, function: Callable[..., Any], *arguments: Any) -> tuple[Any, ...]:

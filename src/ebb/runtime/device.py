@@ -32,6 +32,10 @@ FAILURE_START = 16
 FAILURE_BYTES = FAILURE_START + FAILURE_CAPACITY * FAILURE_WORDS * 8
 
 
+DLPACK_CUDA = 2
+"""DLPack's number of the memory of NVIDIA's GPUs."""
+
+
 class Feature(Enum):
     """What code may need of a device and not every device has. The values are its names in messages."""
 

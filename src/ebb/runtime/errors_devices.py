@@ -197,6 +197,14 @@ class DeviceFailed(Diagnostic):
         return self.remedies or ("start the program again; if that does not help, update the driver of the device",)
 
 
+def forked(device: str) -> DeviceFailed:
+    """What is wrong with a device that the process has from the one that it was forked from."""
+    reason = "it was opened by the process from which this one was forked, and does not work here"
+    return DeviceFailed(
+        device, "being used", reason, ('start processes afresh: multiprocessing.set_start_method("spawn")',)
+    )
+
+
 @record
 class NoLibdevice(Diagnostic):
     """A kernel calls functions that are NVIDIA's library for GPUs, which is not installed."""

@@ -17,7 +17,7 @@ import pyopencl as cl
 from ebb.errors import BackendError
 from ebb.runtime import device
 from ebb.runtime.buffer import Array
-from ebb.runtime.errors_devices import CodeRefused, DeviceFailed, LaunchTooLarge, OutOfDeviceMemory
+from ebb.runtime.errors_devices import CodeRefused, DeviceFailed, LaunchTooLarge, OutOfDeviceMemory, forked
 from ebb.runtime.opencl import Candidate, Kind
 
 _NO_MEMORY = (
@@ -234,9 +234,7 @@ class OpenCLDevice:
 
     def _check_process(self) -> None:
         if os.getpid() != self._process:
-            reason = "it was opened by the process from which this one was forked, and does not work here"
-            remedy = 'start processes afresh: multiprocessing.set_start_method("spawn")'
-            raise BackendError(DeviceFailed(self.name, "being used", reason, (remedy,)))
+            raise BackendError(forked(self.name))
 
     def _failure(self, action: str, error: cl.Error, nbytes: int = 0) -> BackendError:
         """What to raise for an error of pyopencl while ``nbytes`` bytes were needed."""

@@ -17,6 +17,20 @@ INTRINSICS: Mapping[str, str] = {
 } | {"abs": "llvm.fabs.{type}", "round": "llvm.rint.{type}"}  # fmt: skip
 """The functions of ``lir.MATH`` that LLVM knows, by its own names."""
 
+INSTRUCTIONS: Mapping[str, str] = {
+    name: INTRINSICS[name] for name in ("abs", "sqrt", "floor", "ceil", "trunc", "round", "copysign")
+}
+"""Those that are an instruction, or a few, on devices. Of others LLVM would make what they do not have."""
+
+FUNCTIONS: Mapping[str, str] = {
+    name: name
+    for name in (
+        "cbrt", "exp", "log", "log2", "log10", "exp2", "expm1", "log1p", "sin", "cos", "tan", "asin", "acos", "atan",
+        "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc", "lgamma", "pow", "atan2", "fmod", "hypot",
+    )
+} | {"gamma": "tgamma"}  # fmt: skip
+"""The functions of ``lir.MATH`` that devices have in a library, by C's names."""
+
 _LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot", "erf", "erfc", "lgamma")
 
 NOT_ALWAYS_RIGHT = frozenset({"llvm.minimum", "llvm.maximum", "llvm.fptosi.sat", "llvm.fptoui.sat"})

@@ -5,29 +5,17 @@ What LLVM does with an intrinsic is taken where it is IEEE's: division and squar
 
 from __future__ import annotations
 
-from ebb.backends.llvm.hooks import FAST, INTRINSICS, Call, Groups, Hooks, Strips
+from ebb.backends.llvm.hooks import FAST, FUNCTIONS, INSTRUCTIONS, Call, Groups, Hooks, Strips
 
 TRIPLE = "nvptx64-nvidia-cuda"
-
-OLDEST = 60
-"""The least compute capability, 10 major + minor: from here on float64 is added atomically by an instruction."""
 
 _KNOWN = (60, 61, 62, 70, 72, 75, 80, 86, 87, 89, 90, 100, 103, 120, 121)
 """The compute capabilities that LLVM and the drivers of CUDA 12 know."""
 
-_INSTRUCTIONS = ("abs", "sqrt", "floor", "ceil", "trunc", "round", "copysign")
-"""The functions that are instructions, or a few."""
-
-_FUNCTIONS = (
-    "cbrt", "exp", "log", "log2", "log10", "exp2", "expm1", "log1p", "sin", "cos", "tan", "asin", "acos", "atan",
-    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc", "lgamma", "pow", "atan2", "fmod", "hypot",
-)  # fmt: skip
-
 NVPTX = Hooks(
     math={
-        **{name: INTRINSICS[name] for name in _INSTRUCTIONS},
-        **{name: f"__nv_{name}{{suffix}}" for name in _FUNCTIONS},
-        "gamma": "__nv_tgamma{suffix}",
+        **INSTRUCTIONS,
+        **{name: f"__nv_{called}{{suffix}}" for name, called in FUNCTIONS.items()},
     },
     convention="",
     fast=FAST,

@@ -5,7 +5,7 @@ LLVM knows the functions by OpenCL's mangled names: ``_Z3sinf`` is ``sin`` of a 
 
 from __future__ import annotations
 
-from ebb.backends.llvm.hooks import INTRINSICS, NOT_ALWAYS_RIGHT, PURE, Call, Groups, Hooks, Strips
+from ebb.backends.llvm.hooks import FUNCTIONS, INSTRUCTIONS, NOT_ALWAYS_RIGHT, PURE, Call, Groups, Hooks, Strips
 from ebb.records import replace
 
 TRIPLE = "spirv64v1.0-unknown-unknown"
@@ -14,18 +14,7 @@ TRIPLE = "spirv64v1.0-unknown-unknown"
 EXTENSIONS = ("SPV_EXT_shader_atomic_float_add",)
 """What modules may use beside the core of SPIR-V, where a program has such instructions."""
 
-_INSTRUCTIONS = ("abs", "sqrt", "floor", "ceil", "trunc", "round", "copysign")
-"""The functions by LLVM's names. Of more it would make yet others, such as ``powi``, which OpenCL has not."""
-
-_FUNCTIONS = {
-    name: name
-    for name in (
-        "cbrt", "exp", "log", "log2", "log10", "exp2", "expm1", "log1p", "sin", "cos", "tan", "asin", "acos", "atan",
-        "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc", "lgamma", "pow", "atan2", "fmod", "hypot",
-    )
-} | {"gamma": "tgamma"}  # fmt: skip
-
-_MANGLED = {name: f"_Z{len(called)}{called}{{operands}}" for name, called in _FUNCTIONS.items()}
+_MANGLED = {name: f"_Z{len(called)}{called}{{operands}}" for name, called in FUNCTIONS.items()}
 
 _LOCAL_FENCE = "i32 1"
 
@@ -52,7 +41,7 @@ _GROUPS = Groups(
 def spirv_hooks(float_adds: frozenset[int]) -> Hooks:
     """The hooks of a device that adds floats of ``float_adds`` bits atomically by an instruction."""
     return Hooks(
-        math={**{name: INTRINSICS[name] for name in _INSTRUCTIONS}, **_MANGLED},
+        math={**INSTRUCTIONS, **_MANGLED},
         convention="spir_func ",
         # No reassoc: SPIR-V says that only together with there being no NaN and no infinity.
         fast=" nsz arcp contract afn",
