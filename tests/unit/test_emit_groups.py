@@ -218,11 +218,62 @@ def test_a_process_ends_while_those_forked_from_it_go_on():
     assert not hangs
 
 
-def test_where_no_python_can_be_started_that_is_said(monkeypatch):
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_process_that_is_forked_while_another_thread_asks_does_not_wait_for_it():
+    from ebb.backends.llvm import spirv_code
+
+    program = axpy(float32)
+    with spirv_code._translator._lock:
+        child = os.fork()
+        if child == 0:
+            signal.alarm(30)
+            try:
+                image_of(program)
+                os._exit(0)
+            finally:
+                os._exit(1)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_an_end_of_the_translator_amid_a_request_is_an_error_and_the_next_is_fine(monkeypatch):
+    from ebb.backends.llvm import spirv_code
+
+    translator = spirv_code._Translator()
+    monkeypatch.setattr(spirv_code, "_translator", translator)
+    for request in (b"", bytes(1 << 20)):  # one that it gets, and one that it cannot get any more
+        process = translator._running()
+        monkeypatch.setattr(process, "poll", lambda: None)  # as if it ended after we have looked
+        process.kill()
+        process.wait()
+        assert translator._ask(request) == (False, b"")
+    assert image_of(axpy(float32))
+    translator.end()
+
+
+def test_where_there_is_no_fork_each_module_has_a_translator(monkeypatch):
+    from ebb.backends.llvm import spirv_code
+
+    translator = spirv_code._Translator()
+    monkeypatch.setattr(spirv_code, "_translator", translator)
+    monkeypatch.setattr(spirv_code, "FORKS", False)
+    assert image_of(axpy(float32)) == image_of(axpy(float32))
+    assert translator._process is None
+
+
+@pytest.mark.parametrize("executable", ["/nowhere/python", "", None])
+def test_where_no_python_can_be_started_that_is_said(monkeypatch, executable):
     from ebb.backends.llvm.spirv_code import _Translator
 
-    monkeypatch.setattr("sys.executable", "/nowhere/python")
-    with pytest.raises(BackendError, match="nowhere"):
+    monkeypatch.setattr("sys.executable", executable)
+    with pytest.raises(BackendError, match="nowhere" if executable else "no Python"):
+        _Translator()._running()
+
+
+def test_a_program_that_carries_its_own_python_is_not_started_again(monkeypatch):
+    from ebb.backends.llvm.spirv_code import _Translator
+
+    monkeypatch.setattr("sys.frozen", True, raising=False)
+    with pytest.raises(BackendError, match="no Python"):
         _Translator()._running()
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from ebb.backends.llvm import spirv_translator
 from ebb.backends.llvm.spirv import EXTENSIONS, TRIPLE
-from ebb.backends.llvm.spirv_translator import ANSWER, BINARY, REQUEST, TEXT
+from ebb.backends.llvm.spirv_translator import ANSWER, BINARY, FORKS, REQUEST, TEXT
 from ebb.compiler.kir_verify import CompilerBug
 from ebb.errors import BackendError
 from ebb.runtime.errors import NoMachineCode
@@ -27,7 +27,7 @@ class _Translator:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
-        self._owner = 0
+        self._parents: subprocess.Popen[bytes] | None = None
 
     def translated(self, kind: bytes, module: Any) -> bytes:
         """What becomes of ``module``.
@@ -43,9 +43,9 @@ class _Translator:
         return answer
 
     def end(self) -> None:
-        """Ends the process, if this one has started it."""
+        """Ends the process."""
         process, self._process = self._process, None
-        if process is not None and self._owner == os.getpid():
+        if process is not None:
             process.kill()  # not by the end of its input, which processes that were forked from this one hold open too
             process.communicate()
 
@@ -63,25 +63,36 @@ class _Translator:
             answer = process.stdout.read(size)
             whole = len(answer) == size
             return done and whole, answer
+        except BrokenPipeError:  # it has ended
+            return False, b""
         finally:
-            if not whole:  # interrupted, or it ended: the next request must not get this one's answer
+            # Interrupted, or it ended: the next request must not get this one's answer. Or it is about to end.
+            if not whole or not FORKS:
                 self.end()
 
     def _running(self) -> subprocess.Popen[bytes]:
-        """The process; another one in a process that was forked from its owner, or where it has ended."""
-        if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
+        """The process; another one where it has ended."""
+        if self._process is None or self._process.poll() is not None:
             extensions = ",".join(f"+{name}" for name in EXTENSIONS)
+            if not sys.executable or getattr(sys, "frozen", False):  # started again, the program would start itself
+                raise BackendError(NoMachineCode(TRIPLE, "this program has no Python of its own that could be started"))
             command = [sys.executable, "-I", "-S", spirv_translator.__file__, extensions, *filter(None, sys.path)]
             try:
                 self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-            except OSError as error:  # Python is part of another program, say
+            except OSError as error:
                 raise BackendError(NoMachineCode(TRIPLE, f"{sys.executable}: {error}")) from error
-            self._owner = os.getpid()
         return self._process
+
+    def after_fork(self) -> None:
+        """In a process that was forked, maybe while another thread was asking: the process is that of the parent."""
+        self._lock = threading.Lock()
+        self._parents, self._process = self._process, None  # kept, since to let go of it would flush what it is sent
 
 
 _translator = _Translator()
 atexit.register(_translator.end)
+if FORKS:
+    os.register_at_fork(after_in_child=_translator.after_fork)
 
 
 def spirv_binary(module: Any) -> bytes:

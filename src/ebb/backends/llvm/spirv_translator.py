@@ -28,6 +28,9 @@ ANSWER = struct.Struct("<?Q")
 BINARY, TEXT = b"b", b"t"
 """What to make of a module."""
 
+FORKS = hasattr(os, "fork")
+"""Whether there is a fork; else the process ends after an answer."""
+
 
 def serve(extensions: str) -> None:
     """Answers requests, until there are no more."""
@@ -43,16 +46,15 @@ def serve(extensions: str) -> None:
         machine = llvm.Target.from_triple(module.triple).create_target_machine(opt=0)
         return bytes(machine.emit_object(module) if kind == BINARY else machine.emit_assembly(module).encode())
 
-    forks = hasattr(os, "fork")
     asked, answered = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     while header := asked.read(REQUEST.size):
         kind, size = REQUEST.unpack(header)
         bitcode = asked.read(size)
-        done, answer = _forked(translate, kind, bitcode) if forks else (True, translate(kind, bitcode))
+        done, answer = _forked(translate, kind, bitcode) if FORKS else (True, translate(kind, bitcode))
         answered.write(ANSWER.pack(done, len(answer)) + answer)
         answered.flush()
-        if not forks:
+        if not FORKS:
             return
 
 
