@@ -86,7 +86,7 @@ def make_relations(geometry: Geometry) -> Mapping[Kind, ebb.Relation]:
         _add_boundary(relation, geometry)
         _add_walls(relation, kind, geometry)
         _add_offset(relation, "__call__", relation)
-        _add_clamped(relation)
+        _add_offset(relation, "clamped", relation, edge="clamp")
         for other, target in relations.items():
             for name in other.names:
                 _add_offset(relation, name, target)
@@ -159,46 +159,28 @@ def _add_subsets(relation: ebb.Relation, inner: str, outer: str, box: Sequence[t
 # ---- What lies around them ----
 
 
-def _add_offset(source: ebb.Relation, name: str, target: ebb.Relation) -> None:
-    """``c.name(di, dj)``: the element of ``target`` with the indices of ``c`` and these added."""
+def _add_offset(source: ebb.Relation, name: str, target: ebb.Relation, edge: str = "check") -> None:
+    """``c.name(di, dj)``: the element of ``target`` with the indices of ``c`` and these added.
+
+    With ``edge`` ``"clamp"`` it is held within the grid.
+    """
     if source.ndim == 1:
 
         @source.member(name)
         def move_1d(c: Any, di: Any = 0) -> Any:  # pyright: ignore[reportUnusedFunction]
-            return ebb.affine(target, [[1, di]], c)
+            return ebb.affine(target, [[1, di]], c, edge=edge)
 
     elif source.ndim == 2:
 
         @source.member(name)
         def move_2d(c: Any, di: Any = 0, dj: Any = 0) -> Any:  # pyright: ignore[reportUnusedFunction]
-            return ebb.affine(target, [[1, 0, di], [0, 1, dj]], c)
+            return ebb.affine(target, [[1, 0, di], [0, 1, dj]], c, edge=edge)
 
     else:
 
         @source.member(name)
         def move_3d(c: Any, di: Any = 0, dj: Any = 0, dk: Any = 0) -> Any:  # pyright: ignore[reportUnusedFunction]
-            return ebb.affine(target, [[1, 0, 0, di], [0, 1, 0, dj], [0, 0, 1, dk]], c)
-
-
-def _add_clamped(relation: ebb.Relation) -> None:
-    """``c.clamped(di, dj)``: as ``c(di, dj)``, but held within the grid."""
-    if relation.ndim == 1:
-
-        @relation.member("clamped")
-        def clamped_1d(c: Any, di: Any = 0) -> Any:  # pyright: ignore[reportUnusedFunction]
-            return ebb.affine(relation, [[1, di]], c, edge="clamp")
-
-    elif relation.ndim == 2:
-
-        @relation.member("clamped")
-        def clamped_2d(c: Any, di: Any = 0, dj: Any = 0) -> Any:  # pyright: ignore[reportUnusedFunction]
-            return ebb.affine(relation, [[1, 0, di], [0, 1, dj]], c, edge="clamp")
-
-    else:
-
-        @relation.member("clamped")
-        def clamped_3d(c: Any, di: Any = 0, dj: Any = 0, dk: Any = 0) -> Any:  # pyright: ignore[reportUnusedFunction]
-            return ebb.affine(relation, [[1, 0, 0, di], [0, 1, 0, dj], [0, 0, 1, dk]], c, edge="clamp")
+            return ebb.affine(target, [[1, 0, 0, di], [0, 1, 0, dj], [0, 0, 1, dk]], c, edge=edge)
 
 
 def _add_incidence(relations: Mapping[Kind, ebb.Relation], kind: Kind, axis: int) -> None:
