@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import signal
+import subprocess
+import sys
 import threading
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
@@ -534,6 +536,38 @@ def test_two_threads_launch(on_opencl):
     assert failures == []
     np.testing.assert_array_equal(rows.x.to_numpy(), np.full(5_000, 600))
     np.testing.assert_array_equal(rows.y.to_numpy(), np.full(5_000, 200))
+
+
+AT_THE_END = """
+import threading
+import ebb
+
+rows = ebb.Relation("rows", size=1000)
+rows.new_field("x", ebb.float32)
+
+@ebb.kernel
+def grow(r: rows):
+    assert r.x >= 0
+    r.x += 1
+
+def work():
+    while True:
+        grow(rows)
+        rows.x.to_numpy()
+
+ebb.set_backend("opencl")
+grow(rows)
+threading.Thread(target=work, daemon=True).start()
+"""
+
+
+@opencl
+def test_a_process_ends_whose_threads_launch(tmp_path):
+    program = tmp_path / "at_the_end.py"
+    program.write_text(AT_THE_END)
+    for _ in range(3):
+        ended = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, timeout=60)
+        assert (ended.returncode, ended.stderr) == (0, "")
 
 
 @opencl

@@ -27,6 +27,7 @@ from ebb.runtime.errors_devices import (
     OutOfDeviceMemory,
     forked,
 )
+from ebb.runtime.threads import end_launches_at_exit
 
 OLDEST = 60
 """The least compute capability, 10 major + minor: from here on float64 is added atomically by an instruction."""
@@ -119,6 +120,7 @@ class CudaDevice:
         """
         self._driver = driver
         self._process = os.getpid()
+        end_launches_at_exit()
         self._open = False
         self.name = f"cuda {number}"
         self.lacks = frozenset({Feature.FLOAT32_MIN_MAX, Feature.FLOAT64_MIN_MAX})

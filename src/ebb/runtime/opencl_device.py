@@ -19,6 +19,7 @@ from ebb.runtime import device
 from ebb.runtime.buffer import Array
 from ebb.runtime.errors_devices import CodeRefused, DeviceFailed, LaunchTooLarge, OutOfDeviceMemory, forked
 from ebb.runtime.opencl import Candidate, Kind
+from ebb.runtime.threads import end_launches_at_exit
 
 _NO_MEMORY = (
     cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE,
@@ -95,6 +96,7 @@ class OpenCLDevice:
         self.dlpack_device = None
         self.taken = 0
         self._process = os.getpid()
+        end_launches_at_exit()
         self._handle = candidate.handle
         try:
             self.context = cl.Context([self._handle])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import operator
 import os
@@ -27,6 +28,9 @@ GRAIN = 25_000.0
 
 GRAIN_OF_PYTHON = 1_000_000.0
 """The same for threads that Python starts anew for each launch."""
+
+_PATIENCE = 30
+"""How many seconds the end of the process waits for a launch, which may be a print that nobody takes."""
 
 _WAITING = {"GOMP_SPINCOUNT": "300"}
 """How libgomp's threads wait for work: some 15 us awake, then asleep. So they are at hand in a loop of launches, which
@@ -72,6 +76,21 @@ def launching() -> AbstractContextManager[Any]:
     A thread that holds it may launch again, as what stands in for ``sys.stdout`` or a debugger may do.
     """
     return _process.launching
+
+
+@cache
+def end_launches_at_exit() -> None:
+    """When the process ends, lets the launch of a daemon thread come to its end, and no other begin.
+
+    Python ends such a thread when it comes back from machine code. Where that is C++, as with drivers of devices, all
+    of the process is aborted.
+    """
+    atexit.register(_end_launches)
+
+
+def _end_launches() -> None:
+    lock: Any = launching()
+    lock.acquire(timeout=_PATIENCE)  # for good: who waits for it then stays there
 
 
 def usable_threads(threads: int) -> int:
