@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import ebb
-from ebb.backends.replay import SLICE_SECONDS
+from ebb.backends.cpu.replay import SLICE_SECONDS
 from ebb.capture import Step
 from ebb.runtime.threads import launching
 
@@ -130,7 +130,7 @@ def test_the_structure_changes_and_the_step_is_prepared_again(natively):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_without_openmp_python_replays(monkeypatch, threads):
-    monkeypatch.setattr("ebb.backends.cpu.openmp", lambda: None)
+    monkeypatch.setattr("ebb.backends.cpu.backend.openmp", lambda: None)
     monkeypatch.setattr("ebb.runtime.cpu.openmp", lambda: None)
     with ebb.backend("cpu", threads=threads):
         mesh, plain = Mesh(), Mesh()

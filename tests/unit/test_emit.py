@@ -8,9 +8,9 @@ from both_backends import checked, launch, run_both
 from kir_forms import OnRows, binary, call, const, for_query, get, local, random, read, reduce_global, uniform, write
 
 from ebb.backends.cpu import cpu_backend
+from ebb.backends.cpu.tiles import tile_boxes
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.hooks import CPU
-from ebb.backends.tiles import tile_boxes
 from ebb.compiler.lir import BLOCK_ROWS
 from ebb.errors import BackendError
 from ebb.relations.globals import Global

@@ -1,4 +1,4 @@
-"""The backend ``cpu``: kernels as machine code, on all cores."""
+"""The backend ``cpu``: what it makes of kernels, and how it plans their launches."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from functools import cache
 from pathlib import Path
 
 from ebb.backends.backend import CheckedKernel, How, Operation
-from ebb.backends.binding import Binding
 from ebb.backends.cache import ObjectCache, cache_directory
 from ebb.backends.compile import object_code, replay_code, stages_of
+from ebb.backends.cpu.binding import Binding
+from ebb.backends.cpu.replay import Replay
+from ebb.backends.cpu.tiles import block_starts
 from ebb.backends.executable import CompiledExecutable
 from ebb.backends.kernel_code import Lowering, precision_of
-from ebb.backends.replay import Replay
 from ebb.backends.target import host
-from ebb.backends.tiles import block_starts
 from ebb.compiler import lir
 from ebb.compiler.phases.order import InOrder, why_in_order
 from ebb.compiler.scatter.choose import ANY_ORDER, ATOMICALLY, BLOCK_TOTALS, ROW_AFTER_ROW, Plan, Run

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from ebb.backends.cpu.tiles import tile_boxes
 from ebb.backends.llvm.layout import layout_of
 from ebb.backends.printing import PrintBuffer
 from ebb.backends.sources import constant_value, index_array, random_word
-from ebb.backends.tiles import tile_boxes
 from ebb.compiler import kir, lir
 from ebb.compiler.cost import cost_of
 from ebb.compiler.lower import error_at

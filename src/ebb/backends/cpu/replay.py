@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ebb.backends.backend import Operation, RunKernel, SetGlobal, SwapFields
-from ebb.backends.binding import Binding
+from ebb.backends.cpu.binding import Binding
 from ebb.backends.kernel_code import Bindings, NoRows
 from ebb.compiler import lir
 from ebb.relations.field import Field
