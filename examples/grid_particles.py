@@ -283,9 +283,7 @@ def main(
     order: Annotated[int, typer.Option(help="of the Runge-Kutta method: 2 or 4")] = 2,
     backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
     threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
-    sort: Annotated[
-        int | None, typer.Option(help="steps after which particles are stored by cells anew; 0: never")
-    ] = None,
+    sort: Annotated[int | None, typer.Option(help="steps between sortings of particles by cells; 0: none")] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png) of four moments")] = None,
 ) -> None:
     """Carry particles through a flow on a grid."""
