@@ -489,3 +489,18 @@ def test_statements_whose_types_do_not_fit(body):
     rows = rows_with(**FIELDS)
     rows.new_field("k", rows, init=[0])
     rejects(ebb.KernelTypeError, "E2", lambda: kernel_of(body, rows=rows)(rows))
+
+
+def test_complements_behind_a_loop(backend):
+    rows = rows_with(i=(ebb.int32, [6, -6, 2, 3]))
+    rows.new_field("out", ebb.int32)
+    most = 3
+
+    @ebb.kernel
+    def program(r: rows):
+        for _ in range(3, 0, -1):
+            pass
+        r.out = ~min(r.i, most)
+
+    program(rows)
+    assert rows.out.to_numpy().tolist() == [-4, 5, -3, -4]

@@ -19,6 +19,7 @@ from ebb.runtime import device
 from ebb.runtime.buffer import Array
 from ebb.runtime.errors_devices import CodeRefused, DeviceFailed, LaunchTooLarge, OutOfDeviceMemory, forked
 from ebb.runtime.opencl import Candidate, Kind
+from ebb.runtime.opencl_runtime import right_instructions
 from ebb.runtime.threads import end_launches_at_exit
 
 _NO_MEMORY = (
@@ -99,7 +100,8 @@ class OpenCLDevice:
         end_launches_at_exit()
         self._handle = candidate.handle
         try:
-            self.context = cl.Context([self._handle])
+            with right_instructions() as instructions:
+                self.context = cl.Context([self._handle])
             self.queue = cl.CommandQueue(self.context, self._handle)
         except cl.Error as error:
             raise self._failure("starting", error) from error
@@ -107,7 +109,7 @@ class OpenCLDevice:
         exact = self._handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
         self._options = [_EXACT] if exact else []
         self.binaries: CodeStore | None = None
-        self._identity = _identity(candidate, self._options)
+        self._identity = _identity(candidate, self._options, instructions)
 
     def allocate(self, nbytes: int) -> Memory:
         """As ``Device.allocate``."""
@@ -250,14 +252,14 @@ class OpenCLDevice:
         return BackendError(OutOfDeviceMemory(self.name, nbytes, self.taken, total, most))
 
 
-def _identity(candidate: Candidate, options: list[str]) -> bytes:
+def _identity(candidate: Candidate, options: list[str], instructions: str) -> bytes:
     """A hash of all that the driver's code depends on besides the kernel: of the processor too, if that is the device.
 
     A driver calls all processors of a family alike, and users share their folders among machines.
     """
     facts: list[object] = [candidate.platform, candidate.driver, candidate.name, candidate.handle.version, options]
     if candidate.kind is Kind.PROCESSOR:
-        facts += [llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
+        facts += [llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(), instructions]
     return blake2b(repr(facts).encode()).digest()
 
 

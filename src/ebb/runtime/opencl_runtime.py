@@ -20,6 +20,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+import llvmlite.binding as llvm
+
 from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.errors_devices import MissingPackage
@@ -45,6 +47,9 @@ _LIBRARY = re.compile(r"(lib\w+)\.so(\.\d+)?")
 
 _VENDORS = "OCL_ICD_VENDORS"
 """What names the folder to the loaders of Khronos and of ocl-icd, which is the one in pyopencl's wheel."""
+
+_INSTRUCTIONS = "CL_CONFIG_CPU_TARGET_ARCH"
+"""What names the instructions that Intel's runtime for processors compiles for."""
 
 _STANDARD_VENDORS = ("/etc/OpenCL/vendors", f"{sys.prefix}/etc/OpenCL/vendors")
 """Where loaders look by themselves: that of the system, and that of a conda environment."""
@@ -129,18 +134,43 @@ def _all_vendors(runtime: Wheel | None) -> Generator[None, None, None]:
     if runtime is None or runtime.fault is not None:
         yield
         return
-    before = os.environ.get(_VENDORS)
     with TemporaryDirectory(prefix="ebb-opencl-") as folder:
-        for number, driver in enumerate((*_vendors(before), str(runtime.driver))):
+        for number, driver in enumerate((*_vendors(os.environ.get(_VENDORS)), str(runtime.driver))):
             Path(folder, f"{number:03}.icd").write_text(f"{driver}\n", encoding="utf-8")
-        os.environ[_VENDORS] = folder
-        try:
+        with _environment(_VENDORS, folder):
             yield
-        finally:
-            if before is None:
-                del os.environ[_VENDORS]
-            else:
-                os.environ[_VENDORS] = before
+
+
+@contextmanager
+def right_instructions() -> Generator[str, None, None]:
+    """Has Intel's runtime for processors compile for AVX2 where it would for AVX-512, unless the user says for what.
+
+    With AVX-512 its release 2026.2.0 has an instruction wrong: where a kernel run row by row takes ``~min(i, n)``,
+    the register that should have all bits set is left as it was. It looks when a context is made.
+
+    Yields:
+        What it then compiles for, empty for all that the processor has.
+    """
+    given = os.environ.get(_INSTRUCTIONS)
+    if given is not None or not llvm.get_host_cpu_features().get("avx512f"):
+        yield given or ""
+        return
+    with _environment(_INSTRUCTIONS, "core-avx2"):
+        yield "core-avx2"
+
+
+@contextmanager
+def _environment(name: str, value: str) -> Generator[None, None, None]:
+    """Gives a variable of the environment a value for a while."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
 
 
 def _vendors(setting: str | None) -> list[str]:
