@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import gc
+import sys
 import threading
+from contextlib import contextmanager
+from functools import partial
+from linecache import getline
 
 import numpy as np
 import pytest
 
 import ebb
 from ebb.relations.family import family_of
+from ebb.runtime import copies
 from ebb.runtime.buffer import Buffer, Layout
 from ebb.runtime.copies import constant_on, constant_states
 from ebb.runtime.epoch import structure
@@ -451,6 +456,68 @@ def test_an_interrupt_before_the_account_of_an_overwriting_launch(device, rows, 
     assert seen == ([5.0] * SIZE if there else list(range(SIZE)))
     run_on(device, double, rows.a, overwritten=[rows.b])
     assert numbers(rows.b) == [2 * value for value in seen]
+
+
+@contextmanager
+def interrupted_at(line: int):
+    """Raises KeyboardInterrupt at the given line, counted from 1, that runs in the module of copies.
+
+    Not at the end of a ``with``, where Python takes notice of no interrupt: it comes here as a line.
+    """
+    left = line
+
+    def trace(frame, event, _):
+        nonlocal left
+        if frame.f_code.co_filename != copies.__file__:
+            return None
+        left -= event == "line" and "with " not in getline(copies.__file__, frame.f_lineno)
+        if left == 0:
+            left = -1
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+
+
+@pytest.mark.parametrize("write", ["on the host", "on a device"])
+def test_whenever_an_interrupt_comes_all_valid_copies_are_the_same(device, rows, write: str) -> None:
+    other = FakeDevice()
+    for line in range(1, 60):
+        run_on(other, increase, changed=[rows.a])
+        before = numbers(rows.a)
+        run_on(device, increase, changed=[rows.b])
+        run_on(other, double, rows.a, overwritten=[rows.c])
+        try:
+            with interrupted_at(line):
+                if write == "on the host":
+                    rows.a.buffer.overwrite(line)
+                    rows.c.buffer.overwrite(line)
+                else:
+                    for field in (rows.a, rows.c):
+                        run_on(device, partial(np.copyto, src=line), overwritten=[field])
+        except KeyboardInterrupt:
+            pass
+        for field, old in ((rows.a, before), (rows.c, [2 * value for value in before])):
+            seen = [memory_of(field, each) for each in (device, other)]
+            found = [values for values in seen if values is not None]
+            if field.buffer.is_current or not found:
+                found.append(numbers(field))
+            assert all(values == found[0] for values in found)
+            assert found[0] in (old, [float(line)] * SIZE)
+
+
+def memory_of(field, device):
+    """The values of a valid copy; None where there is none."""
+    copy = field.buffer.copies._on_devices.get(device)
+    if copy is None or not copy.valid:
+        return None
+    device.wait()
+    return copy.memory.values(field.buffer).tolist()
 
 
 def test_a_launch_that_cannot_have_its_fields_does_not_run(device, rows, add) -> None:

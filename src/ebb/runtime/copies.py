@@ -141,20 +141,18 @@ class Copies:
         if copy.valid and not self.is_current and len(self._on_devices) == 1:
             return
         with launching():
-            copy.valid = True  # first: one copy is valid, whenever an interrupt comes
             tell_host_code()
-            self.is_current = False
-            for other in self._on_devices.values():
-                if other is not copy:
-                    other.valid = False
+            others = self._all_outdated()
+            others[device] = copy
+            # At once: no interrupt comes in between, after which an old copy would be valid as well, or none.
+            copy.valid, self.is_current, self._on_devices = True, False, others
 
     def changed_on_host(self) -> None:
         """Says that the host's copy is the only valid one."""
         if self._on_devices:
             with launching():
-                self.is_current = True
-                for copy in self._on_devices.values():
-                    copy.valid = False
+                outdated = self._all_outdated()
+                self.is_current, self._on_devices = True, outdated  # at once
 
     def overwrite(self, target: npt.NDArray[Any], values: Any) -> None:
         """Sets ``target``, an array on all of the host's copy, to ``values``, without looking at what was there."""
@@ -167,6 +165,10 @@ class Copies:
         else:
             target[...] = values
             self.changed_on_host()  # should a device have taken a copy meanwhile
+
+    def _all_outdated(self) -> dict[Device, _DeviceCopy]:
+        """The devices' copies, none of which is valid."""
+        return {device: _DeviceCopy(copy.memory) for device, copy in self._on_devices.items()}
 
     @property
     def is_only_on_host(self) -> bool:
