@@ -51,6 +51,9 @@ _VENDORS = "OCL_ICD_VENDORS"
 _INSTRUCTIONS = "CL_CONFIG_CPU_TARGET_ARCH"
 """What names the instructions that Intel's runtime for processors compiles for."""
 
+_CACHE_FAILURES = "PYOPENCL_CACHE_FAILURE_FATAL"
+"""What pyopencl asks, and expects to be there, when it cannot use what it has kept of compiled programs."""
+
 _STANDARD_VENDORS = ("/etc/OpenCL/vendors", f"{sys.prefix}/etc/OpenCL/vendors")
 """Where loaders look by themselves: that of the system, and that of a conda environment."""
 
@@ -148,6 +151,9 @@ def right_instructions() -> Generator[str, None, None]:
     With AVX-512 its release 2026.2.0 has an instruction wrong: where a kernel run row by row takes ``~min(i, n)``,
     the register that should have all bits set is left as it was. It looks when a context is made.
 
+    It then takes no code that it has compiled for AVX-512. Where pyopencl has such in a cache of its own, it compiles
+    anew and warns, if a variable is there; without that it fails for the lack of the variable.
+
     Yields:
         What it then compiles for, empty for all that the processor has.
     """
@@ -155,6 +161,10 @@ def right_instructions() -> Generator[str, None, None]:
     if given is not None or not llvm.get_host_cpu_features().get("avx512f"):
         yield given or ""
         return
+    os.environ.setdefault("PYOPENCL_CACHE_FAILURE_FATAL", "")
+    # pyopencl keeps what it has compiled for such a device, perhaps for AVX-512, and this context does not take that.
+    # Without the variable it fails then; so it warns, and compiles.
+    os.environ.setdefault(_CACHE_FAILURES, "")
     with _environment(_INSTRUCTIONS, "core-avx2"):
         yield "core-avx2"
 
