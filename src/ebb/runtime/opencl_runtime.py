@@ -161,9 +161,6 @@ def right_instructions() -> Generator[str, None, None]:
     if given is not None or not llvm.get_host_cpu_features().get("avx512f"):
         yield given or ""
         return
-    os.environ.setdefault("PYOPENCL_CACHE_FAILURE_FATAL", "")
-    # pyopencl keeps what it has compiled for such a device, perhaps for AVX-512, and this context does not take that.
-    # Without the variable it fails then; so it warns, and compiles.
     os.environ.setdefault(_CACHE_FAILURES, "")
     with _environment(_INSTRUCTIONS, "core-avx2"):
         yield "core-avx2"
