@@ -32,7 +32,7 @@ class UnknownBackend(Diagnostic):
     def hints(self) -> tuple[str, ...]:
         if self.name.casefold() in _GPU:
             return ('for NVIDIA\'s: ebb.set_backend("cuda")', 'for others: ebb.set_backend("opencl")')
-        close = nearest(self.name, self.known)
+        close = nearest(self.name.lower(), self.known)
         return (f"did you mean '{close}'?",) if close else (f'choose one: ebb.set_backend("{self.known[0]}")',)
 
 
