@@ -13,6 +13,7 @@ from ebb.domains import TetMesh, TriMesh
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
+import grid_particles
 import heat
 import rendermesh
 import spring_mass
@@ -57,8 +58,23 @@ def twisted_torus() -> Example:
     return step, (skin.vertices, solid.vertices)
 
 
+def carried_particles(flow: str, order: int) -> Example:
+    chosen = grid_particles.FLOWS[flow]
+    start = np.random.default_rng(1).random((60, len(chosen.shape))) * chosen.extent
+    tracers = grid_particles.Tracers(chosen, 4, start, order)
+
+    def step(number: int) -> object:
+        tracers.step(chosen.dt)
+        tracers.deposit()
+        return tracers.time
+
+    return step, (tracers.particles, tracers.grid.cells)
+
+
 EXAMPLES: dict[str, Callable[[], Example]] = {
     "spring_mass": falling_body,
     "heat": heated_torus,
     "rendermesh": twisted_torus,
+    "grid_particles in a plane": lambda: carried_particles("gyre", 4),
+    "grid_particles in space": lambda: carried_particles("abc", 2),
 }
