@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ebb.backends import tiles
+from ebb.backends.cpu import tiles
 from ebb.compiler import lir
 from ebb.compiler.scatter import choose
 from ebb.compiler.scatter.choose import Way
