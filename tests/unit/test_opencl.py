@@ -12,16 +12,14 @@ import numpy as np
 import pytest
 
 import ebb
+from backends import lacking
 from ebb.backends.llvm.spirv_code import spirv_binary
-from ebb.runtime import opencl_runtime
 from ebb.runtime.opencl import opencl_device
 from fake_opencl import Device, Platform, machine, one_device
 
-if not opencl_runtime.HAS_WHEEL:
-    try:
-        opencl_device()
-    except ebb.BackendError as missing:
-        pytest.skip(str(missing), allow_module_level=True)
+reason = lacking("opencl")
+if reason is not None:
+    pytest.skip(reason, allow_module_level=True)
 
 HEADER = """
 target triple = "spirv64-unknown-unknown"

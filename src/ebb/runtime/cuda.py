@@ -9,7 +9,7 @@ from typing import Any
 
 from ebb.errors import BackendError
 from ebb.runtime.cuda_device import CudaDevice, reason
-from ebb.runtime.errors_devices import MissingPackage, NoDevice, UnknownDevice
+from ebb.runtime.errors_devices import MissingPackage, NoDevice, UnknownDevice, numbers_there
 
 
 def cuda_device(choice: Any = None) -> CudaDevice:
@@ -29,8 +29,8 @@ def cuda_device(choice: Any = None) -> CudaDevice:
         number = -1
     if 0 <= number < len(names):
         return _opened(driver, number)
-    there = "there is only device 0" if len(names) == 1 else f"there are devices 0 to {len(names) - 1}"
-    raise BackendError(UnknownDevice("device", choice, there, names, 'ebb.set_backend("cuda", device=0)'))
+    example = 'ebb.set_backend("cuda", device=0)'
+    raise BackendError(UnknownDevice("device", choice, numbers_there(len(names)), names, example))
 
 
 @cache

@@ -74,6 +74,11 @@ class UnknownDevice(Diagnostic):
         return (self.example, "list the devices: ebb info")
 
 
+def numbers_there(count: int) -> str:
+    """Which numbers name one of ``count`` devices."""
+    return "there is only device 0" if count == 1 else f"there are devices 0 to {count - 1}"
+
+
 @record
 class DeviceLacks(Diagnostic):
     """A device lacks what all kernels need (``kernel`` is None), or what one does."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ebb.errors import BackendError
 from ebb.records import record
 from ebb.runtime.device import Feature
-from ebb.runtime.errors_devices import DeviceLacks, NoDevice, UnknownDevice
+from ebb.runtime.errors_devices import DeviceLacks, NoDevice, UnknownDevice, numbers_there
 from ebb.runtime.opencl_runtime import HAS_WHEEL, WHEEL, platforms, wheel
 
 if TYPE_CHECKING:
@@ -148,8 +148,7 @@ def _choose(choice: Any) -> Candidate:
         raise _unknown(source, choice, "it is neither a number of the list nor a part of a name", devices) from None
     if 0 <= number < len(devices):
         return devices[number]
-    there = "is only device 0" if len(devices) == 1 else f"are devices 0 to {len(devices) - 1}"
-    raise _unknown(source, choice, f"there {there}", devices)
+    raise _unknown(source, choice, numbers_there(len(devices)), devices)
 
 
 def _named(source: str, choice: str, devices: tuple[Candidate, ...]) -> Candidate:
