@@ -123,7 +123,7 @@ class CudaDevice:
         end_launches_at_exit()
         self._open = False
         self.name = f"cuda {number}"
-        self.lacks = frozenset({Feature.FLOAT32_MIN_MAX, Feature.FLOAT64_MIN_MAX})
+        self.lacks = frozenset[Feature]()
         self.dlpack_device = (DLPACK_CUDA, number)
         self.taken = 0
         self._staged: list[Array] = []

@@ -42,9 +42,7 @@ class Feature(Enum):
     FLOAT64 = "ebb.float64"
     ATOMICS64 = "atomic operations on 64-bit integers"
     FLOAT32_ADD = "atomic addition of ebb.float32"
-    FLOAT32_MIN_MAX = "atomic minima of ebb.float32"
     FLOAT64_ADD = "atomic addition of ebb.float64"
-    FLOAT64_MIN_MAX = "atomic minima of ebb.float64"
 
 
 class Memory(Protocol):

@@ -26,7 +26,7 @@ _ENVIRONMENT = "EBB_OPENCL_DEVICE"
 
 #: The numbers that OpenCL gives to what a device can do with atomic floats, which pyopencl does not name.
 _SINGLE_ATOMICS, _DOUBLE_ATOMICS = 0x4231, 0x4232
-_GLOBAL_ADD, _GLOBAL_MIN_MAX = 1 << 1, 1 << 2
+_GLOBAL_ADD = 1 << 1
 
 _SPIRV = re.compile(r"SPIR-V_(\d+)\.(\d+)")
 
@@ -244,9 +244,7 @@ def _features(device: cl.Device) -> frozenset[Feature]:
         Feature.FLOAT64: "cl_khr_fp64" in extensions,
         Feature.ATOMICS64: {"cl_khr_int64_base_atomics", "cl_khr_int64_extended_atomics"} <= extensions,
         Feature.FLOAT32_ADD: single & _GLOBAL_ADD,
-        Feature.FLOAT32_MIN_MAX: single & _GLOBAL_MIN_MAX,
         Feature.FLOAT64_ADD: double & _GLOBAL_ADD,
-        Feature.FLOAT64_MIN_MAX: double & _GLOBAL_MIN_MAX,
     }
     return frozenset(feature for feature, has in there.items() if has)
 
