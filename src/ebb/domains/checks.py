@@ -37,13 +37,13 @@ def mesh_data(points: Any, cells: Any, corners: int, cell: str) -> MeshData:
     return MeshData(_points(points), _cells(cells, corners, cell))
 
 
-def check_rows(mesh: MeshData, cell: str) -> None:
-    """Check that float32 holds the coordinates, as ``pos`` does, and that the corners are points.
+def check_rows(mesh: MeshData, cell: str, largest: float = _LARGEST) -> None:
+    """Check that ``pos``, by default of float32, can hold the coordinates, and that the corners are points.
 
     Raises:
         MeshFormatError: E705, E706.
     """
-    finite = (np.abs(mesh.points) <= _LARGEST).all(axis=1)
+    finite = (np.abs(mesh.points) <= largest).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
         raise MeshFormatError(NotFinite("point", row, mesh.origin, tuple(mesh.points[row].tolist())))

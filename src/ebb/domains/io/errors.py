@@ -151,6 +151,8 @@ class DegenerateElement(BadElement):
     code: ClassVar[str] = "E707"
     corners: tuple[int, ...]
     measure: str
+    count: int = 1
+    total: int = 1
 
     @property
     def complaint(self) -> str:
@@ -158,10 +160,14 @@ class DegenerateElement(BadElement):
         reason = "it names one point twice" if repeated else "its points lie in a line or a plane"
         return f"with the corners {self.corners} has no {self.measure}: {reason}"
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (f"{self.count} of the {self.total} elements are degenerate",) if self.count > 1 else ()
+
 
 @record
 class InvertedElement(BadElement):
-    """A tetrahedron has its corners in the order that gives a negative volume."""
+    """A tetrahedron or hexahedron has its corners in the order that gives a negative volume."""
 
     code: ClassVar[str] = "E708"
     corners: tuple[int, ...]
@@ -179,7 +185,8 @@ class InvertedElement(BadElement):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        return ("pass `fix_orientation=True` to exchange two corners of each inverted element",)
+        turned = "the lower and the upper face" if len(self.corners) == 8 else "two corners"
+        return (f"pass `fix_orientation=True` to exchange {turned} of each inverted element",)
 
 
 @record
@@ -280,6 +287,30 @@ class Unsavable(Diagnostic):
     @property
     def title(self) -> str:
         return f"cannot save {self.path!r}: {self.reason}"
+
+
+@record
+class FoldedElement(BadElement):
+    """At some corners of a hexahedron, but not at all, the three edges lie in a plane or turn the wrong way."""
+
+    code: ClassVar[str] = "E715"
+    corners: tuple[int, ...]
+    bad: tuple[int, ...]
+    count: int
+    total: int
+
+    @property
+    def complaint(self) -> str:
+        at = "the point" if len(self.bad) == 1 else "the points"
+        points = ", ".join(map(str, self.bad))
+        return f"with the corners {self.corners} is folded at {at} {points}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (
+            f"{self.count} of the {self.total} elements are folded",
+            "the three edges at each corner should be right-handed; corners go around the lower face, then the upper",
+        )
 
 
 def _place(span: Span) -> str:

@@ -54,6 +54,18 @@ def read_tetrahedra(path: str | PathLike[str]) -> MeshData:
             return read_meshio(path, "tetra")
 
 
+def read_hexahedra(path: str | PathLike[str]) -> MeshData:
+    """The hexahedra of any format of meshio's.
+
+    Raises:
+        MeshFormatError: the file cannot be read, or holds no hexahedra.
+        BackendError: meshio is not installed.
+    """
+    if Path(path).suffix.lower() in (".off", ".veg"):
+        raise MeshFormatError(UnknownFormat(str(path), "OFF and VEG files hold no hexahedra; .vtu and .msh files do"))
+    return read_meshio(path, "hexahedron")
+
+
 def write_mesh(
     path: str | PathLike[str],
     mesh: MeshData,
@@ -89,7 +101,7 @@ def _write(
     point_data: Mapping[str, Any],
     cell_data: Mapping[str, Any],
 ) -> None:
-    kind = {3: "triangle", 4: "tetra"}[mesh.cells.shape[1]]
+    kind = {3: "triangle", 4: "tetra", 8: "hexahedron"}[mesh.cells.shape[1]]
     suffix = Path(name).suffix.lower()
     if suffix not in (".off", ".veg"):
         return write_meshio(name, points, kind, mesh.cells, point_data, cell_data)
