@@ -273,7 +273,7 @@ def _old(ctx: Context, mark: int, place: Place, op: str) -> Value:
     """What is at a place that is read and then written, before the value that changes it is computed."""
     if isinstance(place, MemberPlace):
         return Poison(place.span)
-    if isinstance(place, FieldPlace) and (op == "-" or op in _REDUCTIONS):
+    if isinstance(place, FieldPlace | GlobalPlace) and (op == "-" or op in _REDUCTIONS):
         return Poison(place.span)  # a reduction reads nothing
     (old,) = ctx.keep(mark, [Typed(read(place))])
     return old
