@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any
 
-from ebb.backends.backend import ANYWHERE, Backend, Bound, CheckedKernel, Executable, How
+from ebb.backends.backend import ANYWHERE, Backend, Bound, CheckedKernel, Executable, How, Once
 from ebb.backends.select import current_backend
 from ebb.compiler.arguments import uniform_values
 from ebb.compiler.elaborate.guards import Guard
@@ -176,8 +176,8 @@ class Launch:
 
     @property
     def is_decided(self) -> bool:
-        """Whether the first runs are over, in which the storage order and the layout are decided."""
-        return self._runs >= SETTLING_RUNS
+        """Whether the first runs are over, in which order and layout are decided, and what is bound is good for more."""
+        return self._runs >= SETTLING_RUNS and not isinstance(self._bound, Once)
 
     def settle(self, changing: AbstractSet[Field] = frozenset()) -> Bound:
         """Looks at all that the launch relies on besides values, and binds the code to it. Holds ``launching()``.

@@ -77,6 +77,17 @@ class Bound(Protocol):
 
 
 @record(eq=False)
+class Once:
+    """What is bound for one run only: before the next it is bound anew, whether or not the structure has changed."""
+
+    bound: Bound
+
+    def run(self, uniforms: Sequence[Any]) -> None:
+        """Runs what is bound."""
+        self.bound.run(uniforms)
+
+
+@record(eq=False)
 class RunKernel:
     """A captured launch: what is bound, and the values of its uniforms."""
 
@@ -120,7 +131,9 @@ class Executable(Protocol):
     """A kernel made ready to run on one backend."""
 
     def bind(self, rows: RowSet, changing: AbstractSet[Field] = frozenset()) -> Bound:
-        """The kernel on ``rows``, for the data as it is: good until ``structure_changed`` is next called.
+        """The kernel on ``rows``, for the data as it is: good until ``structure_changed`` is next called, or ``Once``.
+
+        Key fields on whose values it depends are ``followed`` then.
 
         The groupings that the kernel queries are valid. The caller holds ``launching()``.
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from typing import Generic
 
-from ebb.backends.backend import Bound, CheckedKernel, How
+from ebb.backends.backend import Bound, CheckedKernel, How, Once
 from ebb.backends.compile import check_private_bytes, stage_text, stages_of
 from ebb.backends.kernel_code import Bindings, BindingT, CodeT, KernelCode, Lowering, NoRows, step_of
 from ebb.backends.target import Target
@@ -19,7 +19,6 @@ from ebb.compiler.scatter.step import Step
 from ebb.relations.field import Field
 from ebb.relations.subset import RowSet
 from ebb.runtime.buffer import Array
-from ebb.runtime.epoch import structure_changed
 
 
 class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
@@ -60,11 +59,14 @@ class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
             return NoRows(draws(self.checked.kernel))
         plan = self.plan(rows)
         if not changing.isdisjoint(plan.read):
-            plan = self._planners[rows].plan_in_order("its keys change within a captured step")
+            plan = self._planners[rows].plan_in_order("its keys change within a captured step")  # depends on none
+        parts = [self._bind(run) for run in plan.runs if run.rows.size]
+        bound = parts[0] if len(parts) == 1 else Bindings(parts)
         if not plan.settled:
-            structure_changed()  # so that the next launch is planned again
-        bound = [self._bind(run) for run in plan.runs if run.rows.size]
-        return bound[0] if len(bound) == 1 else Bindings(bound)
+            return Once(bound)  # the next launch is planned again, and only that one
+        for keys in plan.read:
+            keys.followed = True
+        return bound
 
     def how(self, rows: RowSet) -> How:
         """How a launch on ``rows`` does its reductions, and in which order the rows run."""

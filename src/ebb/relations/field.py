@@ -46,6 +46,8 @@ class Field:
         buffer: the memory that ``data`` lies in now.
         holds_keys: whether the values are keys.
         family: the fields that it has been swapped with, once that matters.
+        followed: of keys: whether something that launches rely on has come from their values since it was last cleared:
+            a plan of reductions, or a look at where they lead. Who takes it from them sets this, under ``launching()``.
     """
 
     __slots__ = (
@@ -54,6 +56,7 @@ class Field:
         "_unset",
         "buffer",
         "family",
+        "followed",
         "grouping",
         "holds_keys",
         "name",
@@ -69,6 +72,7 @@ class Field:
         self.type = type_
         self.grouping: Grouping | None = None
         self.family: Family | None = None
+        self.followed = False
         self.version = 0
         self._open_views = 0
         self.buffer = Buffer((relation.size, *type_.shape), type_.dtype) if buffer is None else buffer
@@ -116,16 +120,22 @@ class Field:
     def changed(self) -> None:
         """Says that ``data`` has been written on the host, so that it holds the only valid values."""
         self.buffer.changed_on_host()
-        if self.holds_keys:
-            self._unset = None
-        self.rewritten()
-
-    def rewritten(self) -> None:
-        """Says that a kernel has written values, wherever it ran. Keys that kernels write are set."""
         self.version += 1
         if self.holds_keys:
+            self._unset = None
+            structure_changed()
+
+    def rewritten(self) -> None:
+        """Says that a kernel has written values, wherever it ran. Keys that kernels write are set.
+
+        That is a change of the structure only where something depends on the keys: so particles may find their cells
+        after each step, and launches stay as they are. The caller holds ``launching()``.
+        """
+        self.version += 1
+        if self.holds_keys and (self.followed or self.grouping is not None or self._unset is not False):
             if self._unset:
                 self._unset = None
+            self.followed = False  # who still depends on them settles in the new epoch, and says so
             structure_changed()
 
     def all_set(self) -> None:
@@ -296,7 +306,7 @@ class Field:
             yield
         finally:
             self._open_views -= 1
-            self.rewritten()
+            self.version += 1
             structure_changed()
 
     @contextmanager
@@ -351,9 +361,10 @@ class Field:
     def _overwrite(self, rows: Array) -> None:
         # Before it too: an interrupt while values are written would come before what follows, and they would be taken
         # for those that were there.
+        self.version += 1
         if self.holds_keys:
             self._unset = None
-        self.rewritten()
+            structure_changed()
         self.buffer.overwrite(rows)
         self.changed()
 

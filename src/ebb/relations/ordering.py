@@ -161,15 +161,17 @@ def _routes(reaches: tuple[Reach, ...]) -> Iterator[Route]:
 def _look(route: Route, run: int) -> None:
     """Considers the route once its keys have stayed as they are, and again for a kernel that uses wider rows."""
     watches = [_watch(key) for key in route.keys]
-    pending = [watch for watch in watches if watch.width < route.width]
-    if not pending:
+    if all([watch.width >= route.width for watch in watches]):
         return
     if run < FIRST_RUN or not all([watch.calm >= watch.patience for watch in watches]):
         if all([watch.patience <= INSISTENT for watch in watches]):
+            for key in route.keys:
+                key.followed = True
             structure_changed()  # so that the next run of the launch, if none of its first, comes here too
         return
-    for watch in watches:
+    for watch, key in zip(watches, route.keys, strict=True):
         watch.width = route.width
+        key.followed = True  # keys that change are looked at again
     _improve(route)
 
 

@@ -1,8 +1,9 @@
 """The structure epoch: whether anything that a prepared launch relies on may have changed since it was prepared.
 
 Most of what a launch needs stays the same from one launch to the next: which code fits the data, where indexes lie,
-that no view is open. What can change that calls ``structure_changed``: the keys of a key field, the order or the layout
-in which rows are stored, a grouping, an open view, the choice of the backend. Values of other fields are no structure.
+that no view is open. What can change that calls ``structure_changed``: keys that the host loads or swaps, or that
+kernels write where something depends on them (``Field.rewritten``), the order or the layout in which rows are stored, a
+grouping, an open view, the choice of the backend. Values of other fields are no structure.
 """
 
 from __future__ import annotations
