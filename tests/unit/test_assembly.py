@@ -182,6 +182,43 @@ def test_query_loops_of_little_work_stay_turn_by_turn():
     assert "strip" not in diffuse.inspect(vertices, "llvm")
 
 
+def matrix_edges():
+    mesh = TetMesh.box(2, 2, 2, self_edges=True)
+    mesh.edges.new_field("block", ebb.mat3d)
+    for name in ("p", "y"):
+        mesh.vertices.new_field(name, ebb.vec3d)
+    mesh.tetrahedra.new_field("g", ebb.matrix(ebb.float64, 4, 3), init=1.0)
+    return mesh
+
+
+def test_products_of_matrices_and_vectors_stay_turn_by_turn():
+    vertices = matrix_edges().vertices
+
+    @ebb.kernel
+    def multiply(v: vertices):
+        y = ebb.zeros(ebb.vec3d)
+        for e in v.edges:
+            y += e.block @ e.head.p
+        v.y = y
+
+    assert "strip" not in multiply.inspect(vertices, "llvm")
+
+
+def test_loops_over_corners_are_written_out():
+    tetrahedra = matrix_edges().tetrahedra
+
+    @ebb.kernel
+    def assemble(t: tetrahedra):
+        g = t.g
+        for i in range(4):
+            for j in range(4):
+                t.e[i, j].block += ebb.outer(g[i], g[j]) + 2 * ebb.outer(g[j], g[i])
+
+    text = assemble.inspect(tetrahedra, "llvm")
+    body = text[text.index("@ebb.block(") :].split("\n}")[0]
+    assert "alloca" not in body and body.count("phi ") == 1
+
+
 def test_only_fastmath_reassociates_and_approximates(rows):
     def body(r: rows):
         r.y = (r.x + r.y) - r.x + r.y / 3.0

@@ -18,6 +18,7 @@ GROUPS = [0, 1, 2, 7, 8, 9, 15, 16, 17, 40, 0, 3]
 def however_light(monkeypatch):
     """Loops run in strips that are too light to gain by it."""
     monkeypatch.setattr(strips, "WORK_OF_A_SUM", 0)
+    monkeypatch.setattr(strips, "WORK_OF_A_LOAD", 0)
 
 
 class Graph:

@@ -13,6 +13,7 @@ from ebb.backends.llvm import atomics, ops
 from ebb.backends.llvm.hooks import Strips
 from ebb.backends.llvm.lanes import Flags, emit_strips
 from ebb.backends.llvm.strips import plan_strips
+from ebb.backends.llvm.unroll import FULLY, is_unrolled
 from ebb.backends.llvm.vector_math import VectorForms
 from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
@@ -216,15 +217,20 @@ class StatementEmitter(ABC):
 
     def for_(self, stmt: lir.For) -> None:
         """In strips where the order of the turns means nothing, the target is for it, and the body is fit."""
-        plan = None
+        plan, metadata = None, ""
         if stmt.turns is lir.Turns.ANY_ORDER and self.module.hooks.strips is Strips.MASKED:
             plan = plan_strips(stmt, self.variable_reads, self.module.hooks.vector_math)
         if plan is None:
-            self.count(stmt.counter, self.value(stmt.start), self.value(stmt.stop), stmt.body)
+            if self.module.hooks.groups is None and is_unrolled(stmt):
+                metadata = self.loop_notes(FULLY)
+            self.count(stmt.counter, self.value(stmt.start), self.value(stmt.stop), stmt.body, metadata)
             return
-        notes = [self.module.note(f"!{{{{{note}}}}}") for note in _AS_IT_IS]
-        metadata = self.module.note(f"distinct !{{{{{{self}}, {', '.join(notes)}}}}}")
-        emit_strips(self, stmt, plan, Flags(self.flags, self.sum_flags), f", !llvm.loop {metadata}")
+        emit_strips(self, stmt, plan, Flags(self.flags, self.sum_flags), self.loop_notes(*_AS_IT_IS))
+
+    def loop_notes(self, *notes: str) -> str:
+        """What says so of a loop, at its end."""
+        named = ", ".join(self.module.note(f"!{{{{{note}}}}}") for note in notes)
+        return f", !llvm.loop {self.module.note(f'distinct !{{{{{{self}}, {named}}}}}')}"
 
     def count(self, counter: lir.Temp, start: str, stop: str, body: lir.Body, metadata: str = "") -> None:
         """A loop whose turns are counted, with ``metadata`` at its end."""

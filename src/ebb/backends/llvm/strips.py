@@ -25,10 +25,11 @@ _LANE_BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
 _SUMS = frozenset({"+", "*", "min", "max", "&", "|", "^"})
 _CHANGES = _SUMS | {"-"}
 
-WORK_OF_A_SUM = 4
-"""A loop of less work a turn than this, for each sum and once more, is left as it is: adding the lanes of each sum up,
-and a last strip that is half empty, then cost more than the lanes save. Measured on groups of 6 and 14 rows: a plain
-sum of products is 1.5 times as quick turn by turn, and lengths or springs half as quick."""
+WORK_OF_A_SUM, WORK_OF_A_LOAD = 4, 1
+"""A loop of less work a turn than this, for each sum and once more, and for each number that a turn loads, is left as
+it is: adding the lanes of each sum up, a last strip that is half empty, and bringing what was loaded into lanes then
+cost more than the lanes save. Measured on groups of 6 and 14 rows: a plain sum of products, or of matrices times
+vectors, is 1.5 times as quick turn by turn, and lengths or springs half as quick."""
 
 _SLOW_WORK = 8
 """The work of a division, a root or another function, of which a vector of eight costs little more than one."""
@@ -161,7 +162,13 @@ class _Planner:
         self.find_rows(loop.body)
         self.find_addressing(lets)
         self.demand(bool(self.plan.sums))
-        self.demand(self.work(lets) >= WORK_OF_A_SUM * (len(self.plan.sums) + 1))
+        least = WORK_OF_A_SUM * (len(self.plan.sums) + 1) + WORK_OF_A_LOAD * self.loaded()
+        self.demand(self.work(lets) >= least)
+
+    def loaded(self) -> int:
+        """How many numbers a turn loads that are no keys."""
+        loads = [temp.number for row in self.plan.rows.values() for _, temp in row.loads]
+        return sum(number not in self.plan.addressing for number in loads)
 
     def work(self, lets: list[lir.Let]) -> int:
         """What a turn computes that differs from turn to turn, in additions of floats. Addresses cost nothing."""
