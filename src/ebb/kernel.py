@@ -43,6 +43,7 @@ from ebb.launch import Launch, Specialisation
 from ebb.records import field, record, replace
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
+from ebb.runtime.recording import suspended
 from ebb.types.types import Type
 
 _BLOCK_SIZE = "block_size"
@@ -275,7 +276,8 @@ class Kernel:
         return Inputs(self._name, tuple(zip(types, declared, strict=True)), guards, kernel.uniforms)
 
     def _compile(self, relation: Relation, types: _Types) -> Specialisation:
-        elaborated = elaborate(self.source, relation, types)
+        with suspended():  # libraries may make an index when a kernel first asks for it
+            elaborated = elaborate(self.source, relation, types)
         phases = check_phases(elaborated.kernel)
         kernel = run_passes(elaborated.kernel)
         checked = CheckedKernel(kernel, phases, collect_stencil(kernel), self._hints)

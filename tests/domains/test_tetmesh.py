@@ -160,3 +160,80 @@ def test_random_meshes_agree_with_sets():
                 faces[face] = faces.get(face, 0) + 1
         single = {face for face, count in faces.items() if count == 1}
         assert {tuple(sorted(face)) for face in mesh.triangles.v.to_numpy().tolist()} == single
+
+
+def test_positions_in_float64():
+    points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]) + 1e6 + 1e-5
+    mesh = TetMesh.from_arrays(points, [(0, 1, 2, 3)], precision=ebb.float64)
+    assert mesh.vertices.pos.type == ebb.vec3d
+    np.testing.assert_array_equal(mesh.vertices.pos.to_numpy(), points)
+    assert mesh.vertices.pos.to_numpy()[1, 0] - mesh.vertices.pos.to_numpy()[0, 0] == 1
+    TetMesh.from_arrays(points * 1e60, [(0, 1, 2, 3)], precision=ebb.float64)
+    with pytest.raises(ebb.MeshFormatError, match=r"E712.*precision"):
+        TetMesh.from_arrays(points, [(0, 1, 2, 3)], precision=ebb.int32)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_a_matrix_of_blocks_is_assembled_on_the_edges(backend):
+    """Blocks of an element matrix are added through ``t.e``: against a sum in NumPy."""
+    mesh = TetMesh.ball(2, self_edges=True, precision=ebb.float64)
+    tetrahedra, edges = mesh.tetrahedra, mesh.edges
+    edges.new_field("stiffness", ebb.mat3d, init=0.0)
+
+    @ebb.kernel
+    def assemble(t: tetrahedra):
+        for i in range(4):
+            for j in range(4):
+                t.e[i, j].stiffness += t.volume * ebb.outer(t.v[i].pos, t.v[j].pos)
+
+    with ebb.backend(backend):
+        assemble(tetrahedra)
+    n = mesh.vertices.size
+    expected = np.zeros((n, n, 3, 3))
+    corners, pos = tetrahedra.v.to_numpy(), mesh.vertices.pos.to_numpy()
+    for volume, rows in zip(tetrahedra.volume.to_numpy(), corners, strict=True):
+        for i in rows:
+            for j in rows:
+                expected[i, j] += volume * np.outer(pos[i], pos[j])
+    found = edges.stiffness.to_numpy()
+    tail, head = edges.tail.to_numpy(), edges.head.to_numpy()
+    np.testing.assert_allclose(found, expected[tail, head], rtol=1e-12, atol=1e-14)
+    diagonal = mesh.vertices.diag.to_numpy()
+    np.testing.assert_allclose(found[diagonal], expected[np.arange(n), np.arange(n)], rtol=1e-12, atol=1e-14)
+
+
+def test_assembly_has_the_same_bits_for_any_number_of_threads():
+    found = []
+    for threads in (1, 2, 3):
+        with ebb.backend("cpu", threads=threads):
+            mesh = TetMesh.box(9, 9, 9, self_edges=True)
+            tetrahedra = mesh.tetrahedra
+            mesh.edges.new_field("stiffness", ebb.mat3d, init=0.0)
+
+            @ebb.kernel
+            def assemble(t: tetrahedra):
+                for i in range(4):
+                    for j in range(4):
+                        t.e[i, j].stiffness += t.volume * ebb.outer(ebb.vec3d(t.v[i].pos), ebb.vec3d(t.v[j].pos))
+
+            for _ in range(3):
+                assemble(tetrahedra)
+            found.append(mesh.edges.stiffness.to_numpy().tobytes())
+    assert found[0] == found[1] == found[2]
+
+
+def test_corners_are_made_when_a_kernel_asks_for_them():
+    mesh = TetMesh.box(2, 1, 1)
+    vertices = mesh.vertices
+    vertices.new_field("share", ebb.float64, init=0.0)
+
+    @ebb.kernel
+    def share(v: vertices):
+        for t in v.tetrahedra:
+            v.share += t.volume / 4
+
+    with ebb.capture() as step:  # also where launches are only recorded
+        share(vertices)
+    step.run()
+    assert vertices.share.to_numpy().sum() == pytest.approx(1.0)
+    assert mesh.corners.size == 4 * mesh.tetrahedra.size

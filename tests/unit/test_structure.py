@@ -37,7 +37,7 @@ ROOMS = (
 )
 IN_ROOM = {"capture": "kernel", "errors": "diagnostics", "interop": "kernel", "launch": "kernel"}
 # Not needed to run a program: the command line's packages, and those of the extras.
-LATE = ("rich", "typer", "scipy", "meshio", "pyvista", "pymeshfix", "matplotlib", "pyopencl", "cuda")
+LATE = ("rich", "typer", "scipy", "meshio", "pyvista", "pymeshfix", "tetgen", "matplotlib", "pyopencl", "cuda")
 
 # Only needed on errors, to compile what is not in the cache, or by another backend.
 SLOW = (

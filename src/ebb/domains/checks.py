@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+import ebb
 from ebb.domains.io.data import Floats, Integers, MeshData, Origin
 from ebb.domains.io.errors import (
     DegenerateElement,
@@ -16,13 +17,16 @@ from ebb.domains.io.errors import (
     NotFinite,
     WrongArray,
 )
-from ebb.domains.topology import faces_of_tetrahedra
+from ebb.domains.topology import Edges, faces_of_tetrahedra, undirected_edges
 from ebb.errors import MeshFormatError
-from ebb.records import replace
+from ebb.records import record, replace
 
 # An element counts as degenerate when its volume (area) is below this share of the cube (square) of its longest
 # edge: there, double precision no longer tells its sign.
 _FLAT = 1e-14
+
+# How many elements are looked at at a time.
+_PART = 1 << 16
 
 # Of float32, the type of ``pos``. Areas and volumes of larger coordinates would overflow, too.
 _LARGEST = float(np.finfo(np.float32).max)
@@ -34,7 +38,18 @@ def mesh_data(points: Any, cells: Any, corners: int, cell: str) -> MeshData:
     Raises:
         MeshFormatError: wrong shapes, coordinates that are no numbers, or indices that are no integers (E712).
     """
-    return MeshData(_points(points), _cells(cells, corners, cell))
+    return MeshData(as_points(points), _cells(cells, corners, cell))
+
+
+def largest_of(precision: Any) -> float:
+    """The largest coordinate of the type ``precision``, an Ebb type, whose cube float64 holds.
+
+    Raises:
+        MeshFormatError: it is neither float32 nor float64 (E712).
+    """
+    if precision not in (ebb.float32, ebb.float64):
+        raise MeshFormatError(WrongArray("precision", "ebb.float32 or ebb.float64", repr(precision)))
+    return min(float(np.finfo(precision.dtype).max), 1e100)
 
 
 def check_rows(mesh: MeshData, cell: str, largest: float = _LARGEST) -> None:
@@ -43,15 +58,24 @@ def check_rows(mesh: MeshData, cell: str, largest: float = _LARGEST) -> None:
     Raises:
         MeshFormatError: E705, E706.
     """
-    finite = (np.abs(mesh.points) <= largest).all(axis=1)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise MeshFormatError(NotFinite("point", row, mesh.origin, tuple(mesh.points[row].tolist())))
-    bad = (mesh.cells < 0) | (mesh.cells >= len(mesh.points))
-    if bad.any():
+    check_points(mesh.points, mesh.origin, largest)
+    if mesh.cells.size and (mesh.cells.min() < 0 or mesh.cells.max() >= len(mesh.points)):
+        bad = (mesh.cells < 0) | (mesh.cells >= len(mesh.points))
         row = int(np.argmax(bad.any(axis=1)))
         index = int(mesh.cells[row, np.argmax(bad[row])])
         raise MeshFormatError(IndexOutOfRange(cell, row, mesh.origin, index, len(mesh.points)))
+
+
+def check_points(points: Floats, origin: Origin | None, largest: float = _LARGEST) -> None:
+    """Check that no coordinate is NaN or beyond ``largest``.
+
+    Raises:
+        MeshFormatError: E706.
+    """
+    finite = (np.abs(points) <= largest).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise MeshFormatError(NotFinite("point", row, origin, tuple(points[row].tolist())))
 
 
 def check_triangles(mesh: MeshData, manifold: bool = True) -> None:
@@ -63,23 +87,32 @@ def check_triangles(mesh: MeshData, manifold: bool = True) -> None:
     check_rows(mesh, "triangle")
     a, b, c = (mesh.points[mesh.cells[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    _check_flat(mesh, "triangle", "area", area <= _FLAT * _longest_edge(mesh) ** 2)
+    _check_flat(mesh, "triangle", "area", area <= _FLAT * _longest_edge(mesh.points, mesh.cells) ** 2)
     if manifold:
         _check_surface(mesh.cells, max(len(mesh.points), 1), mesh.origin)
 
 
-def check_tetrahedra(mesh: MeshData, fix_orientation: bool) -> tuple[MeshData, Integers]:
+@record(eq=False)
+class Solid:
+    """A mesh of tetrahedra of positive volume, with what its check has found: edges, boundary and volumes."""
+
+    mesh: MeshData
+    edges: Edges
+    boundary: Integers
+    volume: Floats
+
+
+def check_tetrahedra(mesh: MeshData, fix_orientation: bool, largest: float = _LARGEST) -> Solid:
     """Check that the tetrahedra have positive volumes and that at most two meet at a face.
 
-    Returns:
-        The mesh, in which inverted elements are turned if ``fix_orientation``, and its boundary triangles.
+    With ``fix_orientation`` inverted elements are turned. No coordinate may be beyond ``largest``.
 
     Raises:
         MeshFormatError: E705 to E709.
     """
-    check_rows(mesh, "tetrahedron")
-    volume = tet_volumes(mesh.points, mesh.cells)
-    _check_flat(mesh, "tetrahedron", "volume", np.abs(volume) <= _FLAT * _longest_edge(mesh) ** 3)
+    check_rows(mesh, "tetrahedron", largest)
+    volume, longest = _measures(mesh)
+    _check_flat(mesh, "tetrahedron", "volume", np.abs(volume) <= _FLAT * longest**3)
     inverted = np.flatnonzero(volume < 0)
     if inverted.size and not fix_orientation:
         row = int(inverted[0])
@@ -93,17 +126,30 @@ def check_tetrahedra(mesh: MeshData, fix_orientation: bool) -> tuple[MeshData, I
         cells = mesh.cells.copy()
         cells[inverted, 2], cells[inverted, 3] = mesh.cells[inverted, 3], mesh.cells[inverted, 2]
         mesh = replace(mesh, cells=cells)
-    faces = faces_of_tetrahedra(mesh.cells, max(len(mesh.points), 1))
+        volume[inverted] *= -1
+    n = max(len(mesh.points), 1)
+    edges = undirected_edges(mesh.cells, n)
+    faces = faces_of_tetrahedra(mesh.cells, n, edges)
     if faces.crowded is not None:
         points, row, count = faces.crowded
         raise MeshFormatError(NonManifold("tetrahedron", row, mesh.origin, points, count, "two"))
-    return mesh, faces.boundary
+    return Solid(mesh, edges, faces.boundary, volume)
 
 
 def tet_volumes(points: Floats, cells: Integers) -> Floats:
     """The signed volumes of tetrahedra: positive where corners 1, 2, 3 turn left as seen from corner 0."""
     a, b, c, d = (points[cells[:, i]] for i in range(4))
     return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+
+def _measures(mesh: MeshData) -> tuple[Floats, Floats]:
+    """The signed volume and the longest edge of each tetrahedron, part by part, so that little memory is taken."""
+    volume, longest = np.empty(len(mesh.cells)), np.empty(len(mesh.cells))
+    for start in range(0, len(mesh.cells), _PART):
+        part = slice(start, start + _PART)
+        volume[part] = tet_volumes(mesh.points, mesh.cells[part])
+        longest[part] = _longest_edge(mesh.points, mesh.cells[part])
+    return volume, longest
 
 
 def _check_surface(triangles: Integers, n: int, origin: Origin | None) -> None:
@@ -130,22 +176,26 @@ def _check_surface(triangles: Integers, n: int, origin: Origin | None) -> None:
 
 def _check_flat(mesh: MeshData, cell: str, measure: str, flat: np.ndarray[Any, Any]) -> None:
     if flat.any():
-        row = int(np.argmax(flat))
+        row, count = int(np.argmax(flat)), int(np.count_nonzero(flat))
         corners = tuple(mesh.cells[row].tolist())
-        raise MeshFormatError(DegenerateElement(cell, row, mesh.origin, corners, measure))
+        raise MeshFormatError(DegenerateElement(cell, row, mesh.origin, corners, measure, count, len(mesh.cells)))
 
 
-def _longest_edge(mesh: MeshData) -> Floats:
-    corners = mesh.cells.shape[1]
-    longest = np.zeros(len(mesh.cells))
-    for i in range(corners):
+def _longest_edge(points: Floats, cells: Integers) -> Floats:
+    longest = np.zeros(len(cells))
+    for i in range(cells.shape[1]):
         for j in range(i):
-            edge = mesh.points[mesh.cells[:, i]] - mesh.points[mesh.cells[:, j]]
+            edge = points[cells[:, i]] - points[cells[:, j]]
             np.maximum(longest, np.einsum("ij,ij->i", edge, edge), out=longest)
     return np.sqrt(longest)
 
 
-def _points(points: Any) -> Floats:
+def as_points(points: Any) -> Floats:
+    """Coordinates as a copy of the right type.
+
+    Raises:
+        MeshFormatError: another shape than (n, 3), or no numbers (E712).
+    """
     array = _array("positions", points)
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 3))

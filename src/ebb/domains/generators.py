@@ -44,9 +44,9 @@ def icosphere(subdivisions: int, radius: float) -> tuple[Floats, Integers]:
     subdivisions = require_count("subdivisions", subdivisions, 0)
     points, triangles = icosahedron()
     for _ in range(subdivisions):
-        low, high, of_pair = undirected_edges(triangles, len(points))
-        middle = points[low] + points[high]
-        ab, ac, bc = (of_pair + len(points)).T
+        edges = undirected_edges(triangles, len(points))
+        middle = points[edges.low] + points[edges.high]
+        ab, ac, bc = (edges.of_pair + len(points)).T
         a, b, c = triangles.T
         points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
         split = [(a, ab, ac), (ab, b, bc), (ac, bc, c), (ab, bc, ac)]

@@ -160,6 +160,9 @@ def _keys(array: Array, place: Place, target: Relation) -> Array:
     kind = _kind(array)
     if kind != "i":
         raise _wrong_kind(array, place, kind)
+    if not target.is_grid and array.dtype != object and array.min() >= 0 and array.max() < target.size:
+        # What is nearly always so, and then there may be many: no arrays besides.
+        return target.storage.positions_of(array).astype(place.type.dtype, copy=False)
     extents = np.array(target.shape) if target.is_grid else target.size
     bad = np.asarray((array < 0) | (array >= extents))
     if bad.any():
