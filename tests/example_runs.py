@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 
 import ebb
-from ebb.domains import TetMesh, TriMesh
+from ebb.domains import Grid2D, Grid3D, TetMesh, TriMesh
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
+import fluids_fft
 import grid_particles
 import heat
 import rendermesh
 import spring_mass
+import stable_fluids
 from bodies import Body
 
 Example = tuple[Callable[[int], object], tuple[ebb.Relation, ...]]
@@ -71,10 +73,39 @@ def carried_particles(flow: str, order: int) -> Example:
     return step, (tracers.particles, tracers.grid.cells)
 
 
+def flowing(scene: str, shape: tuple[int, ...], physics: stable_fluids.Physics) -> Example:
+    chosen = stable_fluids.SCENES[scene]
+    make = Grid2D if len(shape) == 2 else Grid3D
+    grid = make(shape, extent=tuple(n / shape[0] for n in shape), periodic=chosen.periodic)
+    fluid = stable_fluids.Fluid(grid, physics)
+    chosen.fill(fluid)
+
+    def step(number: int) -> object:
+        return fluid.step(0.05).turns, *fluid.measure()
+
+    return step, (grid.cells, *grid.faces)
+
+
+VISCOUS = stable_fluids.Physics(1e-3, buoyancy=1.0, advection="linear", method="gauss-seidel", tolerance=0.02)
+
+def stirred_fluid() -> Example:
+    fluid = fluids_fft.Fluid(12)
+
+    def step(number: int) -> object:
+        fluids_fft.drag(fluid, 20 * number, fluids_fft.FORCE)
+        fluid.step()
+        return float(fluid.velocity().max())
+
+    return step, (fluid.grid.cells, fluid.particles)
+
+
 EXAMPLES: dict[str, Callable[[], Example]] = {
     "spring_mass": falling_body,
     "heat": heated_torus,
     "rendermesh": twisted_torus,
+    "fluids_fft": stirred_fluid,
     "grid_particles in a plane": lambda: carried_particles("gyre", 4),
+    "stable_fluids in a plane": lambda: flowing("dye", (4, 4), stable_fluids.Physics(tolerance=0.02)),
+    "stable_fluids in space": lambda: flowing("smoke", (4, 2, 4), VISCOUS),
     "grid_particles in space": lambda: carried_particles("abc", 2),
 }
