@@ -67,6 +67,20 @@ def test_a_query_projects(backend):
     np.testing.assert_array_equal(vertices.out.to_numpy(), np.bincount(tail, 10.0**head, 7))
 
 
+def test_a_query_projects_by_a_name(backend):
+    vertices, edges, tail, head = star(30)
+    edges.group_by("tail")
+    end = "head"
+
+    @ebb.kernel
+    def gather(v: vertices, value: str):
+        for u in ebb.where(edges.tail, v)[end]:
+            v.out += u[value]
+
+    gather(vertices, "y")
+    np.testing.assert_array_equal(vertices.out.to_numpy(), np.bincount(tail, 10.0**head, 7))
+
+
 def test_a_query_of_another_row(backend):
     _vertices, edges, tail, head = star(30)
     edges.group_by("tail")

@@ -94,7 +94,7 @@ def brick_sides(shape: tuple[int, int, int]) -> dict[str, Integers]:
     return dict(zip(SIDES, ends, strict=True))
 
 
-def check_hexahedra(mesh: MeshData, fix_orientation: bool, precision: type[np.floating[Any]]) -> MeshData:
+def check_hexahedra(mesh: MeshData, fix_orientation: bool, largest: float) -> MeshData:
     """Check that all elements have eight corners, at each of which the three edges are right-handed.
 
     That is what makes the map from the unit cube invertible at the corners (Knupp, "Achieving finite element mesh
@@ -103,7 +103,7 @@ def check_hexahedra(mesh: MeshData, fix_orientation: bool, precision: type[np.fl
     Args:
         mesh: points and the corners of the elements.
         fix_orientation: whether to exchange the lower and the upper face of inverted elements, rather than to raise.
-        precision: the type that coordinates are kept in.
+        largest: what no coordinate may be beyond.
 
     Returns:
         The mesh, in which inverted elements are turned if ``fix_orientation``.
@@ -111,7 +111,7 @@ def check_hexahedra(mesh: MeshData, fix_orientation: bool, precision: type[np.fl
     Raises:
         MeshFormatError: E705 to E708, E715.
     """
-    check_rows(mesh, "element", float(np.finfo(precision).max))
+    check_rows(mesh, "element", largest)
     cells = mesh.cells
     flat, inverted, folded = (np.zeros(len(cells), dtype=bool) for _ in range(3))
     for start in range(0, len(cells), _AT_ONCE):

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 import ebb
-from ebb.domains.checks import mesh_data
+from ebb.domains.checks import largest_of, mesh_data
 from ebb.domains.grid import Grid3D
 from ebb.domains.hexahedra import (
     FACES,
@@ -72,9 +72,7 @@ class HexMesh:
         Raises:
             MeshFormatError: the arrays make no solid (E705 to E709, E712, E715).
         """
-        if precision not in (ebb.float32, ebb.float64):
-            raise MeshFormatError(WrongArray("precision", "ebb.float32 or ebb.float64", repr(precision)))
-        mesh = check_hexahedra(mesh, fix_orientation, precision.dtype.type)
+        mesh = check_hexahedra(mesh, fix_orientation, largest_of(precision))
         if neighbors is None:
             neighbors = face_neighbors(mesh)
         self.vertices = ebb.Relation("vertices", size=len(mesh.points))

@@ -111,7 +111,7 @@ def indexed(ctx: Context, base: Value, indices: list[Value], span: Span) -> Valu
             position = constant_index(ctx, indices[0], len(elements), None)
             return Poison(span) if position is None else elements[position]
         case Query():
-            return ctx.poison(NotIndexable(span, "a query", len(indices), "loop over it with 'for'"))
+            return _query_item(ctx, base, indices, span)
         case _:
             pass
     expr = typed(ctx, base)
@@ -218,6 +218,17 @@ def _key_item(ctx: Context, key: kir.Expr, indices: list[Value], span: Span) -> 
         case _:
             advice = 'give the name of a field: c["pos"], or a parameter that is one'
             return ctx.poison(NotIndexable(span, f"a key of '{relation_of(key).name}'", len(indices), advice))
+
+
+def _query_item(ctx: Context, query: Query, indices: list[Value], span: Span) -> Value:
+    """``q[name]``: the query of a field or member whose name is known when the kernel is compiled."""
+    match indices:
+        case [Static(str() as name, _, where)]:
+            return attribute(ctx, query, name, span, where)
+        case _ if any(isinstance(index, Poison) for index in indices):
+            return Poison(span)
+        case _:
+            return ctx.poison(NotIndexable(span, "a query", len(indices), "loop over it with 'for'"))
 
 
 def _captured_item(ctx: Context, base: Static, items: Any, host: Any, indices: list[Value], span: Span) -> Value:

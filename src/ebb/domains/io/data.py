@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +62,66 @@ class MeshData:
     origin: Origin | None = None
     materials: tuple[Material, ...] = ()
     regions: tuple[Region, ...] = ()
+
+
+@record(eq=False)
+class Ragged:
+    """Rows of different lengths: row i is ``values[offsets[i] : offsets[i + 1]]``."""
+
+    offsets: Integers
+    values: Integers
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    @property
+    def lengths(self) -> Integers:
+        """How many values each row has."""
+        return np.diff(self.offsets)
+
+    @property
+    def rows(self) -> Integers:
+        """The row of each value."""
+        return np.repeat(np.arange(len(self)), self.lengths)
+
+    @property
+    def following(self) -> Integers:
+        """For each value the one after it in its row; the first follows the last. No row is empty."""
+        following = np.roll(self.values, -1)
+        following[self.offsets[1:] - 1] = self.values[self.offsets[:-1]]
+        return following
+
+    def row(self, row: int) -> tuple[int, ...]:
+        """The values of one row."""
+        return tuple(self.values[self.offsets[row] : self.offsets[row + 1]].tolist())
+
+    def places(self, rows: Integers) -> Ragged:
+        """For each of ``rows``, where in ``values`` its values are."""
+        lengths = self.lengths[rows]
+        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        shift = np.repeat(self.offsets[:-1][rows] - offsets[:-1], lengths)
+        return Ragged(offsets, shift + np.arange(len(shift)))
+
+    def take(self, rows: Integers) -> Ragged:
+        """The rows with the numbers ``rows``, in that order."""
+        places = self.places(rows)
+        return Ragged(places.offsets, self.values[places.values])
+
+    def sums(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """For each row the sum of what ``values`` has for its values. No row is empty."""
+        if not len(self):
+            return np.zeros((0, *values.shape[1:]), dtype=values.dtype)
+        return np.add.reduceat(values, self.offsets[:-1])
+
+
+@record(eq=False)
+class PolyData:
+    """Points of shape (n, 3), faces as lists of points, cells as lists of faces; the cells of a surface are none."""
+
+    points: Floats
+    faces: Ragged
+    cells: Ragged
+    origin: Origin | None = None
 
 
 def line_span(source: Source, line: int) -> Span:

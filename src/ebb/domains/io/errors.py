@@ -117,18 +117,20 @@ class BadElement(Diagnostic):
 
 @record
 class IndexOutOfRange(BadElement):
-    """A cell has a corner that is no point."""
+    """A cell has a corner that is no point, or a polyhedron a face that is none."""
 
     code: ClassVar[str] = "E705"
     index: int
     size: int
     base: int = 0
+    part: str = "corner"
+    target: str = "points"
 
     @property
     def complaint(self) -> str:
         last = self.size - 1 + self.base
-        known = f"the points are numbered from {self.base} to {last}" if self.size else "there are no points"
-        return f"has the corner {self.index}, but {known}"
+        known = f"the {self.target} are numbered from {self.base} to {last}"
+        return f"has the {self.part} {self.index}, but {known if self.size else f'there are no {self.target}'}"
 
 
 @record
@@ -205,12 +207,12 @@ class NonManifold(BadElement):
 
     @property
     def hints(self) -> tuple[str, ...]:
-        return (_ANYHOW,) if self.kind == "triangle" else ()
+        return (_ANYHOW,) if self.kind in ("triangle", "face") else ()
 
 
 @record
 class InconsistentOrientation(BadElement):
-    """Two neighbouring triangles have their corners in opposite senses, or one triangle occurs twice."""
+    """Two neighbouring faces have their corners in opposite senses, or one occurs twice."""
 
     code: ClassVar[str] = "E710"
     other: int
@@ -218,11 +220,13 @@ class InconsistentOrientation(BadElement):
 
     @property
     def complaint(self) -> str:
-        return f"and triangle {self.other} both run along the edge of the points {self.edge} in the same direction"
+        return f"and {self.kind} {self.other} both run along the edge of the points {self.edge} in the same direction"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return ("the triangles of a surface all turn the same way, so that neighbours run along their edge oppositely",)
+        return (
+            f"the {self.kind}s of a surface all turn the same way, so that neighbours run along their edge oppositely",
+        )
 
     @property
     def hints(self) -> tuple[str, ...]:
@@ -311,6 +315,47 @@ class FoldedElement(BadElement):
             f"{self.count} of the {self.total} elements are folded",
             "the three edges at each corner should be right-handed; corners go around the lower face, then the upper",
         )
+
+
+@record
+class OpenCell(BadElement):
+    """The faces of a polyhedron do not enclose it: they leave a hole, or meet where they should not."""
+
+    code: ClassVar[str] = "E716"
+    reason: str
+
+    @property
+    def complaint(self) -> str:
+        return f"is no polyhedron: {self.reason}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("at each edge of a polyhedron two of its faces meet",)
+
+
+@record
+class OverlappingCells(BadElement):
+    """Two polyhedra lie on the same side of a face that they share."""
+
+    code: ClassVar[str] = "E717"
+    other: int
+    face: int
+
+    @property
+    def complaint(self) -> str:
+        return f"and cell {self.other} lie on the same side of face {self.face}, which they share"
+
+
+@record
+class TooFewParts(BadElement):
+    """A polygon has fewer than three corners, a polyhedron fewer than four faces, or one of them twice."""
+
+    code: ClassVar[str] = "E718"
+    reason: str
+
+    @property
+    def complaint(self) -> str:
+        return self.reason
 
 
 def _place(span: Span) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from math import prod
 from os import PathLike
 from pathlib import Path
@@ -19,6 +19,7 @@ from ebb.domains.io.meshio import read_meshio, write_meshio
 from ebb.domains.io.off import read_off, write_off
 from ebb.domains.io.veg import read_veg, write_veg
 from ebb.errors import MeshFormatError
+from ebb.records import record
 
 
 def read_triangles(path: str | PathLike[str]) -> MeshData:
@@ -83,35 +84,54 @@ def write_mesh(
         BackendError: the format is one of meshio's, and meshio is not installed.
     """
     name = str(path)
-    place = _own_field(name, vertices, cells, "pos" if positions is None else positions)
+    _write(name, mesh, values_to_save(name, vertices, cells, positions, fields))
+
+
+@record(eq=False)
+class Saved:
+    """What is saved of a mesh: where its points are, and values at points and cells by name."""
+
+    points: npt.NDArray[np.floating[Any]]
+    point_data: dict[str, Any]
+    cell_data: dict[str, Any]
+
+
+def values_to_save(
+    path: str,
+    vertices: ebb.Relation,
+    cells: ebb.Relation,
+    positions: str | ebb.Field | None,
+    fields: Iterable[str | ebb.Field],
+) -> Saved:
+    """The values of ``positions``, a field of the vertices, by default ``pos``, and of ``fields``.
+
+    Raises:
+        MeshFormatError: a field is none of the vertices or cells, or ``positions`` says no places (E714).
+    """
+    place = _own_field(path, vertices, cells, "pos" if positions is None else positions)
     if place.relation is not vertices or place.type.shape != (3,) or place.target is not None:
-        raise MeshFormatError(Unsavable(name, f"{place.path} is no vector of 3 numbers at each vertex"))
+        raise MeshFormatError(Unsavable(path, f"{place.path} is no vector of 3 numbers at each vertex"))
     points = place.to_numpy()
     if points.dtype.kind != "f":
         points = points.astype(np.float64)
-    chosen = [_own_field(name, vertices, cells, field) for field in fields]
+    chosen = [_own_field(path, vertices, cells, field) for field in fields]
     data = {relation: {f.name: _values(f) for f in chosen if f.relation is relation} for relation in (vertices, cells)}
-    _write(name, points, mesh, data[vertices], data[cells])
+    return Saved(points, data[vertices], data[cells])
 
 
-def _write(
-    name: str,
-    points: npt.NDArray[np.floating[Any]],
-    mesh: MeshData,
-    point_data: Mapping[str, Any],
-    cell_data: Mapping[str, Any],
-) -> None:
+def _write(name: str, mesh: MeshData, saved: Saved) -> None:
     kind = {3: "triangle", 4: "tetra", 8: "hexahedron"}[mesh.cells.shape[1]]
     suffix = Path(name).suffix.lower()
     if suffix not in (".off", ".veg"):
-        return write_meshio(name, points, kind, mesh.cells, point_data, cell_data)
-    if point_data or cell_data:
+        data = {key: [values] for key, values in saved.cell_data.items()}
+        return write_meshio(name, saved.points, [(kind, mesh.cells)], saved.point_data, data)
+    if saved.point_data or saved.cell_data:
         raise MeshFormatError(Unsavable(name, f"{suffix} files hold no fields; .vtu files do"))
     match suffix, kind:
         case ".off", "triangle":
-            return write_off(name, points, mesh.cells)
+            return write_off(name, saved.points, mesh.cells.tolist())
         case ".veg", "tetra":
-            return write_veg(name, points, mesh)
+            return write_veg(name, saved.points, mesh)
         case _:
             raise MeshFormatError(Unsavable(name, f"{suffix} files do not hold cells of the type {kind!r}"))
 

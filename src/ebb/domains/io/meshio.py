@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from os import PathLike
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ebb.diagnostics.span import Source
-from ebb.domains.io.data import Integers, MeshData, Origin
+from ebb.domains.io.data import Floats, MeshData, Origin
 from ebb.domains.io.errors import MissingMeshio, UnknownFormat, UnreadableFile, Unsavable
 from ebb.domains.io.saving import replacing
 from ebb.errors import BackendError, MeshFormatError
@@ -27,12 +27,27 @@ _TETGEN = (".node", ".ele")
 
 
 def read_meshio(path: str | PathLike[str], cell_type: str) -> MeshData:
-    """The points of the file and its cells of ``cell_type`` (meshio's ``triangle`` or ``tetra``).
+    """The points of the file and its cells of ``cell_type`` (meshio's ``triangle``, ``tetra`` or ``hexahedron``).
 
     Points in the plane get the third coordinate 0.
 
     Raises:
         MeshFormatError: the file cannot be read, is of no known format, or has no such cells.
+        BackendError: meshio is not installed.
+    """
+    points, blocks = read_blocks(path)
+    cells = [data for kind, data in blocks if kind == cell_type]
+    if not cells:
+        found = ", ".join(sorted({kind for kind, _ in blocks})) or "no cells"
+        raise MeshFormatError(UnknownFormat(str(path), f"it has {found}, and no cells of the type {cell_type!r}"))
+    return MeshData(points, np.concatenate(cells).astype(np.int64), Origin(Source(str(path), "")))
+
+
+def read_blocks(path: str | PathLike[str]) -> tuple[Floats, list[tuple[str, Any]]]:
+    """The points of the file, and its blocks of cells: meshio's name of their type, and what it has for each cell.
+
+    Raises:
+        MeshFormatError: the file cannot be read, or is of no known format.
         BackendError: meshio is not installed.
     """
     name = str(path)
@@ -42,10 +57,6 @@ def read_meshio(path: str | PathLike[str], cell_type: str) -> MeshData:
     except (OSError, ValueError) as error:
         raise MeshFormatError(UnreadableFile(name, getattr(error, "strerror", None) or str(error))) from None
     mesh = _read(name)
-    blocks = [block.data for block in mesh.cells if block.type == cell_type]
-    if not blocks:
-        found = ", ".join(sorted({block.type for block in mesh.cells})) or "no cells"
-        raise MeshFormatError(UnknownFormat(name, f"it has {found}, and no cells of the type {cell_type!r}"))
     points = np.asarray(mesh.points, dtype=np.float64)
     match points.shape:
         case (_, 3):
@@ -54,19 +65,24 @@ def read_meshio(path: str | PathLike[str], cell_type: str) -> MeshData:
             points = np.column_stack([points, np.zeros(n)])
         case shape:
             raise MeshFormatError(UnknownFormat(name, f"its points are an array of the shape {shape}"))
-    cells = np.concatenate(blocks).astype(np.int64)
-    return MeshData(points, cells, Origin(Source(name, "")))
+    return points, [(block.type, block.data) for block in mesh.cells]
 
 
 def write_meshio(
     path: str | PathLike[str],
     points: npt.NDArray[np.floating[Any]],
-    cell_type: str,
-    cells: Integers,
+    blocks: Sequence[tuple[str, Any]],
     point_data: Mapping[str, Any],
-    cell_data: Mapping[str, Any],
+    cell_data: Mapping[str, list[Any]],
 ) -> None:
     """Write the mesh and its data in the format that the suffix of ``path`` names.
+
+    Args:
+        path: where to.
+        points: shape (n, 3).
+        blocks: meshio's name of a type of cells, and the cells.
+        point_data: values for all points, by name.
+        cell_data: values for the cells of each block, by name.
 
     Raises:
         MeshFormatError: the file cannot be written, or the format is not known or has no place for the data.
@@ -74,8 +90,7 @@ def write_meshio(
     """
     name = str(path)
     meshio = _import(name)
-    data = {key: [values] for key, values in cell_data.items()}
-    mesh = meshio.Mesh(points, [(cell_type, cells)], point_data=dict(point_data), cell_data=data)
+    mesh = meshio.Mesh(points, list(blocks), point_data=dict(point_data), cell_data=dict(cell_data))
     with replacing(path) as file:
         try:
             with _quiet(io.StringIO()):
@@ -90,17 +105,26 @@ def write_meshio(
 
 def _check_written(name: str, file: str, mesh: Any) -> None:
     """Check that all of the mesh is in the file: many writers leave out, without an error, what their format lacks."""
-    cell_type, count = mesh.cells[0].type, len(mesh.cells[0].data)
     try:
         found = _read(file)
     except MeshFormatError:
         raise MeshFormatError(Unsavable(name, "meshio cannot read again what it wrote")) from None
-    if sum(len(block.data) for block in found.cells if block.type == cell_type) != count:
-        raise MeshFormatError(Unsavable(name, f"the format does not hold cells of the type {cell_type!r}"))
+    written, kept = _counts(mesh), _counts(found)
+    gone = sorted(kind for kind, count in written.items() if kept.get(kind) != count)
+    if gone:
+        raise MeshFormatError(Unsavable(name, f"the format does not hold cells of the type {gone[0]!r}"))
     lost = sorted([*(mesh.point_data.keys() - found.point_data), *(mesh.cell_data.keys() - found.cell_data)])
     if lost:
         fields = ", ".join(map(repr, lost))
         raise MeshFormatError(Unsavable(name, f"the format does not hold the fields {fields}; .vtu files do"))
+
+
+def _counts(mesh: Any) -> dict[str, int]:
+    """How many cells of each type there are."""
+    counts: dict[str, int] = {}
+    for block in mesh.cells:
+        counts[block.type] = counts.get(block.type, 0) + len(block.data)
+    return counts
 
 
 def _read(name: str) -> Any:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from ebb.diagnostics.span import Source, Span
-from ebb.domains.io.data import Floats, Integers, line_span
+from ebb.domains.io.data import Floats, Integers, Ragged, line_span
 from ebb.domains.io.errors import MalformedLine, TruncatedFile, UnreadableFile
 from ebb.errors import MeshFormatError
 
@@ -105,6 +105,26 @@ class Lines:
         """
         return self._take_block(count, columns, what, np.int64, _as_integer)
 
+    def take_ragged(self, count: int, least: int, what: str) -> Ragged:
+        """The integers of each of the next ``count`` lines, of which the first says how many of the others count.
+
+        Raises:
+            MeshFormatError: the file ends before (E704), a line is not integers, or has fewer than it says or than
+                ``least`` (E703).
+        """
+        first = self.position
+        lengths = self.take_integers(count, 1, what)[:, 0]
+        short = np.flatnonzero(lengths < least)
+        if short.size:
+            raise self.malformed(f"{least} or more, and so many point numbers", first + int(short[0]))
+        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        values = np.empty(int(offsets[-1]), dtype=np.int64)
+        for length in sorted(set(lengths.tolist())):
+            rows = np.flatnonzero(lengths == length)
+            table = self._table(first + rows, length + 1, np.int64, _as_integer)
+            values[offsets[rows][:, None] + np.arange(length)] = table[:, 1:]
+        return Ragged(offsets, values)
+
     def _take_block(self, count: int, columns: int, what: str, dtype: type, convert: Callable[[str], Any]) -> Any:
         start, stop = self.position, self.position + count
         if stop > len(self.texts):
@@ -113,12 +133,16 @@ class Lines:
         self.position = stop
         if count == 0:
             return np.zeros((0, columns), dtype=np.dtype(dtype))
-        block = self.texts[start:stop]
+        return self._table(np.arange(start, stop), columns, dtype, convert)
+
+    def _table(self, lines: Integers, columns: int, dtype: type, convert: Callable[[str], Any]) -> Any:
+        block: list[str] = [self.texts[line] for line in lines.tolist()]
         try:
             return cast(Any, np.loadtxt)(block, dtype=dtype, comments=None, usecols=range(columns), ndmin=2)
         except ValueError:
             kind = "integers" if dtype is np.int64 else "numbers"
-            raise self.malformed(f"{columns} {kind}", start + _first_bad(block, columns, convert)) from None
+            bad = int(lines[_first_bad(block, columns, convert)])
+            raise self.malformed(f"{columns} {kind}", bad) from None
 
 
 def as_float(word: str) -> float | None:
