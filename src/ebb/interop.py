@@ -1,4 +1,4 @@
-"""The memory of fields on devices, for other libraries: CuPy, Numba, PyTorch on ``cuda``, pyopencl on ``opencl``.
+"""The memory of fields for other libraries: matrices for SciPy, arrays of CuPy, Numba, PyTorch, pyopencl on devices.
 
 On the processor the memory is ``field.view()``. Everywhere ``field.__dlpack__`` gives what kernels work on.
 """
@@ -7,19 +7,63 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from ebb.backends.select import current_backend
 from ebb.errors import BackendError
 from ebb.relations.field import Field
 from ebb.runtime.device import Device
+from ebb.runtime.recording import refuse
 
 if TYPE_CHECKING:
     from pyopencl.array import Array
 
     from ebb.relations.device_view import DeviceView
 
-__all__ = ["cuda_array", "opencl_array"]
+__all__ = ["bsr_matrix", "cuda_array", "opencl_array"]
+
+
+def bsr_matrix(values: Field, *, row: Field, col: Field) -> Any:
+    """A SciPy matrix on the memory of a field of entries: BSR where they are matrices, CSR where they are numbers.
+
+    Nothing is copied: the matrix shows what kernels on the processor write into the field, until its keys change. Where
+    kernels run on a device, ask for it anew after launches. It is read-only; SciPy's functions that would sort its
+    entries or sum up duplicates in place take ``matrix.copy()``.
+
+    Rows and columns are numbered as the rows of the relations that the keys refer to, so vectors come from
+    ``field.to_numpy()``, and as well from ``view()``: if those relations have been stored in another order, their rows
+    are brought back into that of their numbers, and stay there.
+
+    Args:
+        values: numbers or matrices, the entries or blocks of the matrix.
+        row: the key field of the same relation that says in which row (of blocks) an entry stands. The relation is
+            grouped by it if it is not yet, and it must have been grouped by no other field before.
+        col: the key field that says in which column.
+
+    Raises:
+        RelationError: the fields make no matrix, or earlier views fix another order (E552).
+        BackendError: SciPy is not installed, or a step is being captured.
+    """
+    from ebb.relations.sparse import matrix_rows  # here: few programs ask for it
+
+    try:
+        from scipy import sparse  # pyright: ignore[reportMissingTypeStubs]
+    except ModuleNotFoundError:
+        from ebb.relations.errors_matrix import MissingSciPy
+
+        raise BackendError(MissingSciPy("ebb.interop.bsr_matrix")) from None
+    refuse("making a matrix of a field", "make it before the with statement")
+    found = matrix_rows(values, row, col)
+    blocks = values.type.shape or (1, 1)
+    shape = (found.shape[0] * blocks[0], found.shape[1] * blocks[1])
+    library: Any = sparse
+    if values.type.shape:
+        matrix = library.bsr_matrix(shape, blocksize=blocks, dtype=values.type.dtype)
+    else:
+        matrix = library.csr_matrix(shape, dtype=values.type.dtype)
+    # Set one by one: given to the constructor, SciPy copies arrays that are part of larger memory.
+    matrix.data, matrix.indices, matrix.indptr = found.data, found.columns, found.starts
+    return matrix
 
 
 @overload

@@ -1,0 +1,9 @@
+import sys
+
+import ebb
+from ebb.domains import TetMesh
+
+sys.modules["scipy.sparse"] = None  # as where it is not installed
+edges = TetMesh.box(1, 1, 1, self_edges=True).edges
+edges.new_field("weight", ebb.float64)
+ebb.interop.bsr_matrix(edges.weight, row=edges.tail, col=edges.head)  #~ E553
