@@ -88,6 +88,7 @@ def flowing(scene: str, shape: tuple[int, ...], physics: stable_fluids.Physics) 
 
 VISCOUS = stable_fluids.Physics(1e-3, buoyancy=1.0, advection="linear", method="gauss-seidel", tolerance=0.02)
 
+
 def stirred_fluid() -> Example:
     fluid = fluids_fft.Fluid(12)
 
