@@ -20,6 +20,9 @@ CodeT = TypeVar("CodeT")
 BindingT = TypeVar("BindingT", bound=Bound)
 """Code with what it takes, on one set of rows."""
 
+_MOST_CACHED = 48 << 20
+"""The most bytes that a launch goes through for which stores wait in the cache for who reads them."""
+
 
 @record
 class Lowering:
@@ -35,11 +38,12 @@ class Lowering:
     updates: lir.Updates
     group_size: int | None = None
 
-    def lower(self, step: Step, facts: Facts, launched: Launched) -> lir.Program:
+    def lower(self, step: Step, facts: Facts, launched: Launched, stores: lir.Stores = lir.Stores.KEPT) -> lir.Program:
         """The program of ``step`` for data of which ``facts`` hold and rows that are given as ``launched``."""
         return lower(
-            step.kernel, step.phases, step.unchecked, facts, launched, self.precision, self.updates, self.group_size
-        )
+            step.kernel, step.phases, step.unchecked, facts, launched,
+            self.precision, self.updates, self.group_size, stores,
+        )  # fmt: skip
 
 
 class KernelCode(Generic[CodeT, BindingT]):
@@ -65,7 +69,8 @@ class KernelCode(Generic[CodeT, BindingT]):
         self._load = load
         self._attach = attach
         self._sources = sources_of(step.kernel)
-        self._compiled: dict[tuple[Launched, State], tuple[lir.Program, CodeT]] = {}
+        self._row_bytes = sum(field.type.size * field.type.dtype.itemsize for field in step.phases.fields)
+        self._compiled: dict[tuple[Launched, lir.Stores, State], tuple[lir.Program, CodeT]] = {}
         self._bindings: dict[tuple[RowSet, State], BindingT] = {}
 
     def bind(self, rows: RowSet) -> BindingT:
@@ -80,19 +85,24 @@ class KernelCode(Generic[CodeT, BindingT]):
         state = self._sources.state()
         binding = self._bindings.get((rows, state))
         if binding is None:
-            program, code = self._compile(launched_as(rows), state)
+            program, code = self._compile(launched_as(rows), self._stores(rows), state)
             binding = self._bindings[rows, state] = self._attach(self._step, program, code, rows)
         return binding
 
     def program(self, rows: RowSet) -> lir.Program:
         """The program for a launch on ``rows`` and the data as they are."""
-        return self._lowering.lower(self._step, self._sources.facts(self._sources.state()), launched_as(rows))
+        facts = self._sources.facts(self._sources.state())
+        return self._lowering.lower(self._step, facts, launched_as(rows), self._stores(rows))
 
-    def _compile(self, launched: Launched, state: State) -> tuple[lir.Program, CodeT]:
-        found = self._compiled.get((launched, state))
+    def _stores(self, rows: RowSet) -> lir.Stores:
+        """Whether caches hold what a launch on ``rows`` goes through, so that the next one may find it there."""
+        return lir.Stores.KEPT if rows.size * self._row_bytes < _MOST_CACHED else lir.Stores.STREAMED
+
+    def _compile(self, launched: Launched, stores: lir.Stores, state: State) -> tuple[lir.Program, CodeT]:
+        found = self._compiled.get((launched, stores, state))
         if found is None:
-            program = self._lowering.lower(self._step, self._sources.facts(state), launched)
-            found = self._compiled[launched, state] = program, self._load(program)
+            program = self._lowering.lower(self._step, self._sources.facts(state), launched, stores)
+            found = self._compiled[launched, stores, state] = program, self._load(program)
         return found
 
 

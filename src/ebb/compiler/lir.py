@@ -320,15 +320,51 @@ class Rows(Enum):
 
 
 @record
+class Inside:
+    """What rows run that are not near the ends of a line of the grid, where coordinates wrap or are held.
+
+    ``ends``: how many are near at its beginning and at its end; ``length``: that of a line."""
+
+    ends: tuple[int, int]
+    length: Argument
+    body: Body
+
+
+@record
+class RowPlace:
+    """The ``size`` elements of a slot that are those of the row at the position ``row``."""
+
+    slot: Slot
+    row: Value
+    size: int
+
+
+@record
+class Streaming:
+    """Rows that go through more memory than caches hold. Values are those of ``Inside.body`` where there is one.
+
+    Attributes:
+        written: of the row itself, all of it and never read: it need not come into the cache.
+        ahead: of the row of another line that is read last of all of its place in the order: worth fetching before.
+    """
+
+    written: tuple[RowPlace, ...]
+    ahead: tuple[RowPlace, ...]
+
+
+@record
 class RowLoop:
     """``body`` for each row of the block, or on groups for each of the thread's rows, as ``Program.coverage`` says.
 
     ``index`` has one temporary, the number of the row in the launch, or on a box one a dimension, the coordinates.
+    Only rows that are independent have ``streaming``, only those of boxes ``inside``.
     """
 
     index: tuple[Temp, ...]
     rows: Rows
     body: Body
+    inside: Inside | None = None
+    streaming: Streaming | None = None
 
 
 @record
@@ -402,6 +438,13 @@ class Updates(Enum):
     ATOMIC = "atomic"
 
 
+class Stores(Enum):
+    """Whether what a launch writes may still be in the cache when it is read, or is more than fits in there."""
+
+    KEPT = "kept"
+    STREAMED = "streamed"
+
+
 PAYLOAD_WORDS = 8
 """The most values that a ``Fail`` carries."""
 
@@ -444,6 +487,11 @@ class Program:
     def in_order(self) -> bool:
         """Whether the rows run one after the other."""
         return any(isinstance(stmt, RowLoop) and stmt.rows is Rows.IN_ORDER for stmt in self.block)
+
+    @property
+    def streams(self) -> Streaming | None:
+        """How its rows go through more memory than caches hold."""
+        return next((stmt.streaming for stmt in self.block if isinstance(stmt, RowLoop)), None)
 
     @property
     def entries(self) -> tuple[str, ...]:

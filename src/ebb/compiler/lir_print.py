@@ -118,15 +118,26 @@ def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind
 
 def _row_statement(stmt: lir.RowLoop | lir.Barrier | lir.Fail | lir.Print) -> Iterator[str]:
     match stmt:
-        case lir.RowLoop(index, rows, body):
+        case lir.RowLoop(index, rows, body, inside, streaming):
             yield f"rows {_values(index)}, {rows.value}:"
             yield from _body(body)
+            if inside is not None:
+                before, after = inside.ends
+                yield f"inside, from {before} to {after} before a{inside.length.number}:"
+                yield from _body(inside.body)
+            if streaming is not None:
+                yield from (f"streams {_place(place)}" for place in streaming.written)
+                yield from (f"ahead {_place(place)}" for place in streaming.ahead)
         case lir.Barrier():
             yield "barrier"
         case lir.Fail(site, position, payload):
             yield f"fail {site} at {value(position)} ({_values(payload)})"
         case lir.Print(number, slot, position, values):
             yield f"print {number} into s{slot.number} at {value(position)} ({_values(values)})"
+
+
+def _place(place: lir.RowPlace) -> str:
+    return f"s{place.slot.number}, row {value(place.row)} of {place.size}"
 
 
 def _operation(operation: lir.Operation) -> str:

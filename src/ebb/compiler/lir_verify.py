@@ -140,7 +140,27 @@ class _Checker:
         self.demand(len(stmt.index) == self.program.dimensions, "has not one index a dimension")
         self.in_row = True
         self.loop(stmt.index, stmt.body)
+        if stmt.inside is not None:
+            self.demand(self.program.space is lir.Space.BOX, "has lines without boxes")
+            self.demand(id(stmt.inside.length) in self.arguments, "has an argument that the program has not")
+            self.inside(stmt.index, stmt.inside.body)
+        if stmt.streaming is not None:
+            self.demand(stmt.rows is lir.Rows.INDEPENDENT, "streams rows in order")
+            self.streaming(stmt.streaming)
         self.in_row = False
+
+    def inside(self, index: tuple[lir.Temp, ...], body: lir.Body) -> None:
+        """The other body of the same rows."""
+        with self.scope():
+            self.temps |= {temp.number for temp in index}
+            self.body(body)
+
+    def streaming(self, streaming: lir.Streaming) -> None:
+        for place in (*streaming.written, *streaming.ahead):
+            known = isinstance(place.row, lir.Literal) or place.row.number in self.defined
+            self.demand(known, "streams by what is not there")
+        written = all(place.slot.access is lir.Access.WRITE for place in streaming.written)
+        self.demand(written, "streams what it only reads")
 
     def while_loop(self, stmt: lir.While) -> None:
         with self.scope():

@@ -51,6 +51,8 @@ def bodies(stmt: lir.Stmt) -> tuple[lir.Body, ...]:
             return (stmt.then, stmt.orelse)
         case lir.While():
             return (stmt.head, stmt.body)
+        case lir.RowLoop(inside=lir.Inside() as inside):
+            return (stmt.body, inside.body)
         case lir.For() | lir.Block() | lir.RowLoop():
             return (stmt.body,)
         case _:

@@ -21,6 +21,9 @@ Array: TypeAlias = "npt.NDArray[Any]"
 ALIGNMENT = 64
 """Bytes: a cache line, and the widest vector register of the machines that LLVM emits for here."""
 
+_ROWS_AROUND = 16
+"""How many rows beyond the first and the last may be read: kernels compute those of a whole register at once."""
+
 
 class Layout(Enum):
     """How the values of a field with several components lie in memory. With one component the two are the same."""
@@ -45,7 +48,8 @@ class Buffer:
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], layout: Layout = Layout.ROWS) -> None:
         self.layout = layout
-        block = aligned_zeros(shape if layout is Layout.ROWS else _column_block(shape, dtype), dtype)
+        room = _ROWS_AROUND * prod(shape[1:]) * dtype.itemsize
+        block = aligned_zeros(shape if layout is Layout.ROWS else _column_block(shape, dtype), dtype, room)
         self._array: Array = block if layout is Layout.ROWS else _in_columns(block, shape[0])
         self.address: int = block.ctypes.data
         self.copies = Copies(block.reshape(-1).view(np.uint8))
@@ -191,14 +195,15 @@ def column_stride(rows: int, itemsize: int) -> int:
     return lines * (ALIGNMENT // itemsize)
 
 
-def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype[Any], room: int = 0) -> Array:
     """A zeroed C-contiguous array whose first byte is aligned to ``ALIGNMENT``.
 
-    At least ``ALIGNMENT`` bytes behind it may be read: kernels load the rows of short vectors by whole registers.
+    At least ``ALIGNMENT`` bytes behind it may be read: kernels load the rows of short vectors by whole registers. So
+    may ``room`` bytes before and behind.
     """
     nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
-    block = np.zeros(nbytes + 2 * ALIGNMENT, dtype=np.uint8)
-    start = -block.ctypes.data % ALIGNMENT
+    block = np.zeros(nbytes + 2 * room + 2 * ALIGNMENT, dtype=np.uint8)
+    start = room + -(block.ctypes.data + room) % ALIGNMENT
     return block[start : start + nbytes].view(dtype).reshape(shape)
 
 

@@ -186,7 +186,7 @@ class Binding:
         """Puts the rows into the argument block and returns the number of blocks."""
         words = self._block.words
         if self._program.space is lir.Space.BOX:
-            self._tiles = tile_boxes(rows.boxes or ())
+            self._tiles = tile_boxes(rows.boxes or (), _row_bytes(self._program))
             words[BOXES] = self._tiles.ctypes.data
             blocks = len(self._tiles)
         else:
@@ -259,3 +259,11 @@ class Binding:
                     self._numbers.append((view, place, uniform))
             case constant:
                 self._block.words[word] = constant_value(constant, self._blocks)
+
+
+def _row_bytes(program: lir.Program) -> int:
+    """What a row reads of those of other lines, if its rows may run in any order."""
+    streaming = program.streams
+    if streaming is None or program.sites:
+        return 0
+    return sum(ahead.size * ahead.slot.type.bits // 8 for ahead in streaming.ahead)

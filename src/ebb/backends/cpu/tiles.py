@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,18 +14,23 @@ from ebb.relations.subset import Box, RowSet
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+_BAND_BYTES = 128 << 10
+"""The bytes of a band in one plane. The three planes of most stencils are then less than half of a second cache."""
 
-def tile_boxes(boxes: Sequence[Box]) -> npt.NDArray[np.int64]:
-    """The blocks of ``boxes``, in the order of their rows: start and stop in each dimension.
+
+def tile_boxes(boxes: Sequence[Box], row_bytes: int = 0) -> npt.NDArray[np.int64]:
+    """The blocks of ``boxes``: start and stop in each dimension.
 
     Args:
         boxes: disjoint boxes of one grid of ``ndim`` dimensions.
+        row_bytes: what a row reads that rows of the next planes of the grid read again; 0 if their order matters more.
 
     Returns:
-        An array of the shape ``(blocks, ndim, 2)``. A block has about ``BLOCK_ROWS`` rows, and its rows follow one
-        another in the order of indices within their box.
+        An array of the shape ``(blocks, ndim, 2)``. A block has about ``BLOCK_ROWS`` rows, which follow one another in
+        the order of indices within their box, as blocks do. With ``row_bytes`` a box of three dimensions is gone
+        through in bands, few enough lines of each plane that three planes stay in the second cache.
     """
-    parts = [_tiles(box) for box in boxes if box.size]
+    parts = [_tiles(band) for box in boxes if box.size for band in _bands(box, row_bytes)]
     ndim = len(boxes[0].start) if boxes else 1
     return np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, ndim, 2), dtype=np.int64)
 
@@ -35,6 +41,19 @@ def block_starts(rows: RowSet) -> npt.NDArray[np.int64]:
         return np.minimum(np.arange(-(-rows.size // BLOCK_ROWS) + 1) * BLOCK_ROWS, rows.size)
     tiles = tile_boxes(rows.boxes)
     return np.concatenate(([0], np.cumsum((tiles[:, :, 1] - tiles[:, :, 0]).prod(axis=1))))
+
+
+def _bands(box: Box, row_bytes: int) -> list[Box]:
+    """``box`` in bands of its middle dimension, as alike as can be."""
+    if not row_bytes or len(box.start) != 3:
+        return [box]
+    lines = box.stop[1] - box.start[1]
+    count = -(-lines * (box.stop[2] - box.start[2]) * row_bytes // _BAND_BYTES)
+    ends = [box.start[1] + lines * k // count for k in range(count + 1)]
+    first, _, third = zip(box.start, box.stop, strict=True)
+    return [
+        Box((first[0], start, third[0]), (first[1], stop, third[1])) for start, stop in pairwise(ends) if start < stop
+    ]
 
 
 def _tiles(box: Box) -> npt.NDArray[np.int64]:

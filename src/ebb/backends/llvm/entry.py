@@ -121,8 +121,15 @@ def _write_share(program: lir.Program, module: ModuleWriter) -> None:
     w.do(f"%next.item = add i64 {item}, 1")
     w.branch("items")
     w.start("done")
-    w.do("ret void")
+    _leave(w, program)
     w.finish(f"define void @{SHARE}(ptr %args, i64 %thread, i64 %threads) {_AS_WRITTEN}")
+
+
+def _leave(w: FunctionWriter, program: lir.Program) -> None:
+    """Returns. What has been stored past the cache is there before other threads go on."""
+    if program.streams is not None:
+        w.do("fence seq_cst")
+    w.do("ret void")
 
 
 def _wave_items(w: FunctionWriter, wave: str) -> tuple[str, str]:

@@ -6,50 +6,59 @@ from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands, statements
 
 
-def is_unit(loop: lir.RowLoop) -> bool:
-    """Whether each access of the innermost turns goes on by one element from turn to turn, or stays where it is."""
-    return _Strides(loop).all_unit()
+def is_unit(body: lir.Body, counter: lir.Temp) -> bool:
+    """Whether each access goes on by one element from turn to turn of ``counter``, or stays where it is."""
+    return is_even(body, counter, {})
 
 
-class _Strides:
-    def __init__(self, loop: lir.RowLoop) -> None:
-        self.body, self.counter = loop.body, loop.index[-1].number
-        self.varying = {self.counter}
-        self.ones = {self.counter}
+def is_even(body: lir.Body, counter: lir.Temp, sizes: dict[int, int]) -> bool:
+    """Whether each access stays where it is from turn to turn, or goes on by so many elements as a row has.
 
-    def all_unit(self) -> bool:
-        for stmt in statements(self.body):
+    Args:
+        body: what runs each turn.
+        counter: of the turns.
+        sizes: the elements of a row, by the number of the slot; 1 where nothing is said.
+    """
+    return _Steps(counter).all_even(body, sizes)
+
+
+class _Steps:
+    """By how much temporaries grow from turn to turn, by number: 0 where nothing is said, None where it differs."""
+
+    def __init__(self, counter: lir.Temp) -> None:
+        self.steps: dict[int, int | None] = {counter.number: 1}
+
+    def all_even(self, body: lir.Body, sizes: dict[int, int]) -> bool:
+        for stmt in statements(body):
             match stmt:
-                case lir.Let(temp, operation):
-                    self.note(temp.number, operation)
-                    if isinstance(operation, lir.Load) and not self.fits(operation.index):
-                        return False
-                case lir.Store(_, index, _) if not self.fits(index):
+                case lir.Let(_, lir.Load(slot, index)) | lir.Store(slot, index, _) if self.of(index) not in (
+                    0,
+                    sizes.get(slot.number, 1),
+                ):
                     return False
+                case lir.Let(temp, operation):
+                    self.steps[temp.number] = self.result(operation)
                 case lir.For() | lir.While():
                     return False
                 case _:
                     pass
         return True
 
-    def note(self, number: int, operation: lir.Operation) -> None:
-        if isinstance(operation, lir.LoadVar) or any(map(self.varies, operands(operation))):
-            self.varying.add(number)
+    def of(self, value: lir.Value) -> int | None:
+        return self.steps.get(value.number, 0) if isinstance(value, lir.Temp) else 0
+
+    def result(self, operation: lir.Operation) -> int | None:
+        if isinstance(operation, lir.LoadVar):
+            return None
         match operation:
-            case lir.Binary("+", left, right) if self.is_one(left) and not self.varies(right):
-                self.ones.add(number)
-            case lir.Binary("+", left, right) if self.is_one(right) and not self.varies(left):
-                self.ones.add(number)
-            case lir.Binary("-", left, right) if self.is_one(left) and not self.varies(right):
-                self.ones.add(number)
+            case lir.Binary("+" | "-" as op, left, right):
+                a, b = self.of(left), self.of(right)
+                if a is not None and b is not None:
+                    return a + b if op == "+" else a - b
+            case lir.Binary("*", factor, lir.Literal(number, _)) | lir.Binary("*", lir.Literal(number, _), factor):
+                step = self.of(factor)
+                if step is not None and isinstance(number, int):
+                    return step * number
             case _:
                 pass
-
-    def varies(self, value: lir.Value) -> bool:
-        return isinstance(value, lir.Temp) and value.number in self.varying
-
-    def is_one(self, value: lir.Value) -> bool:
-        return isinstance(value, lir.Temp) and value.number in self.ones
-
-    def fits(self, index: lir.Value) -> bool:
-        return self.is_one(index) or not self.varies(index)
+        return 0 if all(self.of(value) == 0 for value in operands(operation)) else None

@@ -8,6 +8,7 @@ from typing import TypeAlias
 from ebb.compiler import kir, lir
 from ebb.compiler.lower.builder import Builder, Values
 from ebb.compiler.lower.facts import Facts
+from ebb.compiler.lower.line import Line
 from ebb.compiler.lower.sites import Site
 from ebb.compiler.phases.table import PhaseTable
 from ebb.records import field, record
@@ -54,6 +55,7 @@ class Context:
         labels: those of KIR's blocks, by ``uid``.
         accumulators: the private sums of the globals that are reduced.
         drawn: counts the random numbers of the row.
+        line: the line of the grid along which rows run, where they are given as boxes, or as all rows in order.
     """
 
     kernel: kir.Kernel
@@ -71,6 +73,7 @@ class Context:
     labels: dict[int, lir.Label] = field(default_factory=dict[int, lir.Label])
     accumulators: dict[object, lir.Var] = field(default_factory=dict[object, lir.Var])
     drawn: lir.Var | None = None
+    line: Line | None = None
     slots: dict[lir.SlotBinding, lir.Slot] = field(default_factory=dict[lir.SlotBinding, lir.Slot])
     arguments: dict[lir.ArgumentBinding, lir.Argument] = field(default_factory=dict[lir.ArgumentBinding, lir.Argument])
     sites: list[Site] = field(default_factory=list[Site])

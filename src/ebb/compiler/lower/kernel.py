@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ebb.compiler import kir, lir
-from ebb.compiler.kir_walk import draws
 from ebb.compiler.lower.bindings import variables
 from ebb.compiler.lower.context import Context, Launched, value_scalar
 from ebb.compiler.lower.facts import Facts
-from ebb.compiler.lower.keys import linear
+from ebb.compiler.lower.line import Line
 from ebb.compiler.lower.reductions import combine_partials, open_accumulators, reduced_globals, store_partials
-from ebb.compiler.lower.statements import bind, lower_body
+from ebb.compiler.lower.rows import row_loop
 from ebb.compiler.phases.order import InOrder, shares_sums, why_in_order
 from ebb.compiler.phases.table import PhaseTable
-from ebb.types.types import int64, uint64
+from ebb.types.types import int64
 
 
 def lower(
@@ -26,6 +25,7 @@ def lower(
     precision: lir.Precision,
     updates: lir.Updates = lir.Updates.PLAIN,
     group_size: int | None = None,
+    stores: lir.Stores = lir.Stores.KEPT,
 ) -> lir.Program:
     """``kernel`` as LIR.
 
@@ -39,6 +39,7 @@ def lower(
         updates: how rows reduce into other rows.
         group_size: how many threads share a block; None where a block is for one thread. Where rows run in order, the
             program has one thread a group.
+        stores: whether what rows write may stay in the cache; only threads that take whole blocks go past it.
     """
     ctx = Context(kernel, phases, frozenset(unchecked), facts, updates)
     reduced = reduced_globals(kernel)
@@ -47,18 +48,19 @@ def lower(
         group_size = 1
     strided = group_size is not None and (reduced or rows is lir.Rows.IN_ORDER)
     block_number = ctx.build.temp(int64)
-    dimensions = kernel.relation.ndim if launched is Launched.BOXES else 1
-    index = tuple(ctx.build.temp(int64) for _ in range(dimensions))
+    if rows is lir.Rows.INDEPENDENT and group_size is None and launched is not Launched.LISTED:
+        ctx.line = Line(kernel.relation.shape[-1])
     with ctx.build.body() as block:
         open_accumulators(ctx, reduced)
-        ctx.build.add(lir.RowLoop(index, rows, _row_body(ctx, index, launched)))
+        loop = row_loop(ctx, launched, rows, stores)
+        ctx.build.add(loop)
         store_partials(ctx, reduced, block_number, group_size)
     with ctx.build.body() as finish:
         combine_partials(ctx, reduced, group_size)
     return lir.Program(
         name=kernel.name,
         space=lir.Space.BOX if launched is Launched.BOXES else lir.Space.LINE,
-        dimensions=dimensions,
+        dimensions=len(loop.index),
         group_size=group_size,
         coverage=lir.Coverage.STRIDED if strided else lir.Coverage.ONE,
         precision=precision,
@@ -84,22 +86,3 @@ def _rows(kernel: kir.Kernel, phases: PhaseTable, updates: lir.Updates, group_si
 def variable_bytes(kernel: kir.Kernel) -> int:
     """The size of the locals of ``kernel`` that need memory; ``Program.private_bytes`` is at least that."""
     return sum(value_scalar(local.type.scalar).bits // 8 * local.type.size for local in variables(kernel))
-
-
-def _row_body(ctx: Context, index: tuple[lir.Temp, ...], launched: Launched) -> lir.Body:
-    b, kernel = ctx.build, ctx.kernel
-    with b.body() as body:
-        match launched:
-            case Launched.ALL:
-                ctx.row = index[0]
-            case Launched.LISTED:
-                ctx.row = b.load(ctx.slot(lir.LaunchPositions()), index[0])
-            case Launched.BOXES:
-                ctx.row = linear(ctx, kernel.relation, index)
-        for local in variables(kernel):
-            ctx.variables[local.uid] = b.declare(local.name, value_scalar(local.type.scalar), local.type.size)
-        if draws(kernel):
-            ctx.drawn = b.declare("drawn", uint64, 1)
-        bind(ctx, kernel.row, (ctx.row,))
-        lower_body(ctx, kernel.body)
-    return tuple(body)

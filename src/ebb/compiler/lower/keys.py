@@ -72,7 +72,16 @@ def affine(ctx: Context, node: kir.Affine, base: lir.Value) -> lir.Value:
     if offsets is not None and not any(offsets):
         return base
     if offsets is not None and _stays_inside(ctx, node, grid, offsets):
-        return _moved(ctx, grid, base, offsets)
+        position = _moved(ctx, grid, base, offsets)
+    else:
+        position = _mapped(ctx, node, source, grid, base)
+    if ctx.line is not None:
+        ctx.line.note_move(base, offsets, position)
+    return position
+
+
+def _mapped(ctx: Context, node: kir.Affine, source: Relation, grid: Relation, base: lir.Value) -> lir.Value:
+    """The position in ``grid`` by the coordinates of ``base``."""
     at = coordinates(ctx, source, base)
     asked = tuple(_row(ctx, row, at) for row in node.matrix)
     reached = tuple(_reached(row, source) for row in node.matrix)
@@ -128,6 +137,8 @@ def _row(ctx: Context, entries: Sequence[kir.Entry], at: Values) -> lir.Value:
     for entry, coordinate in zip(entries, at, strict=False):
         if entry:
             total = b.add_index(b.scale_index(coordinate, int(entry * scale)), total)
+    if ctx.line is not None:
+        ctx.line.note_row(tuple(entries), at, total)
     return total if scale == 1 else b.binary("//", total, index(scale))
 
 
@@ -149,21 +160,34 @@ def _settled(
     ctx: Context, node: kir.Affine | kir.RowAt, grid: Relation, dimension: int, asked: lir.Value, reached: range | None
 ) -> lir.Value:
     """The coordinate wrapped or clamped, where some row may ask for one beyond the grid."""
-    b = ctx.build
     size = grid.shape[dimension]
-    if _within(reached, 0, size):
+    bends = grid.periodic[dimension] or node.edge is kir.Edge.CLAMP
+    if not bends or _within(reached, 0, size):
         return asked
-    extent = ctx.extent(grid, dimension)
+    offset = None if ctx.line is None else ctx.line.offset(asked)
+    if ctx.line is None or offset is None:
+        return _bent(ctx, grid, dimension, asked, reached)
+    if ctx.line.inside:
+        return asked
+    ctx.line.note_end(offset, size)
+    bent = _bent(ctx, grid, dimension, asked, reached)
+    if isinstance(bent, lir.Temp):
+        ctx.line.offsets[bent.number] = offset
+    return bent
+
+
+def _bent(ctx: Context, grid: Relation, dimension: int, asked: lir.Value, reached: range | None) -> lir.Value:
+    """The coordinate wrapped in a dimension that is periodic, or else clamped."""
+    b = ctx.build
+    size, extent = grid.shape[dimension], ctx.extent(grid, dimension)
     if grid.periodic[dimension]:
         if _within(reached, 0, 2 * size):
             return b.select(b.compare(">=", asked, extent), b.binary("-", asked, extent), asked)
         if _within(reached, -size, size):
             return b.select(b.compare("<", asked, index(0)), b.binary("+", asked, extent), asked)
         return _wrapped(ctx, asked, extent)
-    if node.edge is kir.Edge.CLAMP:
-        last = b.add_index(extent, -1)
-        return b.binary("max", b.binary("min", asked, last), index(0))
-    return asked
+    last = b.add_index(extent, -1)
+    return b.binary("max", b.binary("min", asked, last), index(0))
 
 
 def _wrapped(ctx: Context, asked: lir.Value, extent: lir.Value) -> lir.Value:
@@ -258,6 +282,8 @@ def place(ctx: Context, field: Field, position: lir.Value, start: lir.Value) -> 
 def read_field(ctx: Context, field: Field, position: lir.Value, start: lir.Value, size: int, span: Span) -> Values:
     """``size`` components of a field's value in a row, from ``start`` on. Keys among them must be set."""
     b = ctx.build
+    if ctx.line is not None:
+        ctx.line.note_read(field, position)
     slot, at = ctx.slot(lir.FieldData(field)), place(ctx, field, position, start)
     loaded = [b.load(slot, at.component(ctx, k)) for k in range(size)]
     if isinstance(field.type.scalar, ScalarType):

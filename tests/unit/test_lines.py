@@ -1,0 +1,200 @@
+"""Lines of grids on the processor: the split of their ends, stores past the cache, bands of planes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ebb
+from ebb.backends import kernel_code
+from ebb.backends.cpu.tiles import tile_boxes
+from ebb.relations.subset import Box
+from ebb.runtime import threads
+
+SHAPES = [
+    (1,),
+    (2,),
+    (17,),
+    (1030,),
+    (1, 1),
+    (3, 1),
+    (1, 3),
+    (5, 31),
+    (3, 600),
+    (1, 1, 1),
+    (2, 1, 2),
+    (3, 7, 40),
+    (2, 3, 256),
+]
+
+
+@pytest.fixture(params=["kept", "streamed"])
+def stores(request, monkeypatch):
+    if request.param == "streamed":
+        monkeypatch.setattr(kernel_code, "_MOST_CACHED", 0)
+    monkeypatch.setattr(threads, "GRAIN", 1.0)
+    with ebb.backend("cpu", threads=2):
+        yield request.param
+
+
+def streams(kernel, rows):
+    return "streams " in kernel.inspect(rows, "lir")
+
+
+def roll(array, *offset):
+    return np.roll(array, [-step for step in offset], tuple(range(len(offset))))
+
+
+def neighbors(cells, unit, edge):
+    """Members ``c.left`` and ``c.right`` along the last dimension, and ``c.below`` along the first."""
+    first = [[*row, 1 if d == 0 else 0] for d, row in enumerate(unit)]
+    left, right = ([[*row, s if d == len(unit) - 1 else 0] for d, row in enumerate(unit)] for s in (-1, 2))
+    named = {"left": left, "right": right, "below": first}
+    for name, matrix in named.items():
+        wrapped, held = _maps(cells, matrix)
+        cells.member(name)(wrapped if edge == "wrap" else held)
+
+
+def _maps(cells, matrix):
+    def wrapped(c):
+        return ebb.affine(cells, matrix, c)
+
+    def held(c):
+        return ebb.affine(cells, matrix, c, edge="clamp")
+
+    return wrapped, held
+
+
+@pytest.mark.parametrize("edge", ["wrap", "clamp"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_rows_near_the_ends_and_between(stores, shape, edge):
+    cells = ebb.Relation("cells", shape=shape, periodic=(edge == "wrap",) * len(shape))
+    x = np.random.default_rng(1).integers(-99, 99, shape).astype(np.float32)
+    cells.new_field("x", ebb.float32, init=x)
+    cells.new_field("y", ebb.float32, init=-1.0)
+    neighbors(cells, np.eye(len(shape), dtype=int).tolist(), edge)
+
+    @ebb.kernel
+    def add(c: cells):
+        c.y = 2.0 * c.x + c.left.x - 3.0 * c.right.x + 5.0 * c.below.x
+
+    add(cells)
+    index = np.indices(shape)
+
+    def at(axis, step):
+        place = list(index)
+        n = shape[axis]
+        place[axis] = (place[axis] + step) % n if edge == "wrap" else np.clip(place[axis] + step, 0, n - 1)
+        return x[tuple(place)]
+
+    last = len(shape) - 1
+    np.testing.assert_array_equal(cells.y.to_numpy(), 2 * x + at(last, -1) - 3 * at(last, 2) + 5 * at(0, 1))
+    assert streams(add, cells) == (stores == "streamed")
+
+
+def test_only_launched_rows_are_stored(stores):
+    cells = ebb.Relation("cells", shape=(6, 9, 70))
+    x = np.random.default_rng(2).integers(-99, 99, cells.shape).astype(np.int32)
+    cells.new_field("x", ebb.int32, init=x)
+    cells.new_field("y", ebb.int32, init=-x)
+    cells.new_field("v", ebb.vec3d, init=1.5)
+    boxes = [np.s_[1:-1, 1:-1, 1:-1], np.s_[:1, 2:5, 31:33], np.s_[5:, :2, :17]]
+    rows = cells.new_subset("some", boxes)
+
+    @ebb.kernel
+    def write(c: cells):
+        c.y = 3 * c.x
+        c.v = [ebb.float64(c.x), 2.0, -ebb.float64(c.x)]
+
+    write(rows)
+    mask = np.zeros(cells.shape, dtype=bool)
+    for box in boxes:
+        mask[box] = True
+    np.testing.assert_array_equal(cells.y.to_numpy(), np.where(mask, 3 * x, -x))
+    expected = np.where(mask[..., None], np.stack([x, np.full_like(x, 2), -x], axis=-1), 1.5)
+    np.testing.assert_array_equal(cells.v.to_numpy(), expected)
+    assert streams(write, rows) == (stores == "streamed")
+
+
+@pytest.mark.parametrize("size", [1, 15, 63, 64, 65, 1025, 5000])
+def test_rows_that_are_no_grid(stores, size):
+    rows = ebb.Relation("rows", size=size)
+    x = np.random.default_rng(3).integers(-99, 99, (size, 3)).astype(np.float64)
+    rows.new_field("x", ebb.vec3d, init=x)
+    rows.new_field("y", ebb.float64)
+    rows.new_field("kept", ebb.float64, init=1.0)
+    total = ebb.Global(ebb.float64, 0.0)
+
+    @ebb.kernel
+    def measure(r: rows):
+        r.y = ebb.dot(r.x, r.x)
+        r.kept += r.x[0]
+        total.value += r.x[1]
+
+    measure(rows)
+    np.testing.assert_array_equal(rows.y.to_numpy(), (x * x).sum(axis=1))
+    np.testing.assert_array_equal(rows.kept.to_numpy(), 1 + x[:, 0])
+    assert total.value == x[:, 1].sum()
+    assert streams(measure, rows) == (stores == "streamed")
+
+
+def test_what_is_looked_at_is_kept(stores):
+    rows = ebb.Relation("rows", size=100)
+    for name in "xyz":
+        rows.new_field(name, ebb.float32, init=1.0)
+
+    @ebb.kernel
+    def change(r: rows):
+        r.x = r.y + 1.0
+        r.z = r.x * 2.0
+        if r.y > 0.0:
+            r.x = 0.0
+
+    change(rows)
+    np.testing.assert_array_equal(rows.x.to_numpy(), np.zeros(100))
+    np.testing.assert_array_equal(rows.z.to_numpy(), np.full(100, 4))
+
+
+def test_the_number_of_threads_changes_no_bit(monkeypatch):
+    monkeypatch.setattr(kernel_code, "_MOST_CACHED", 0)
+    cells = ebb.Relation("cells", shape=(9, 40, 130), periodic=(True, True, True))
+    cells.new_field("x", ebb.float32, init=np.random.default_rng(4).random(cells.shape, dtype=np.float32))
+    cells.new_field("y", ebb.float32)
+    total = ebb.Global(ebb.float32, 0.0)
+    neighbors(cells, np.eye(3, dtype=int).tolist(), "wrap")
+
+    @ebb.kernel
+    def relax(c: cells):
+        c.y = 0.4 * c.x + 0.1 * (c.left.x + c.right.x) + ebb.sin(c.below.x)
+        total.value += c.x
+
+    found = []
+    for count in (1, 2, 3):
+        with ebb.backend("cpu", threads=count):
+            total.value = 0.0
+            relax(cells)
+            found.append((cells.y.to_numpy().tobytes(), total.value))
+    assert found[0] == found[1] == found[2]
+
+
+class TestBands:
+    def test_blocks_cover_each_row_once(self):
+        boxes = [Box((0, 0, 0), (5, 300, 100)), Box((5, 3, 2), (9, 4, 50)), Box((9, 0, 0), (9, 5, 5))]
+        for row_bytes in (0, 4, 1000, 1 << 20):
+            covered = np.zeros((9, 300, 100), dtype=int)
+            for block in tile_boxes(boxes, row_bytes):
+                covered[tuple(slice(*bounds) for bounds in block)] += 1
+            expected = np.zeros_like(covered)
+            for box in boxes:
+                expected[box.slices] += 1
+            np.testing.assert_array_equal(covered, expected)
+
+    def test_a_band_goes_through_all_planes(self):
+        tiles = tile_boxes([Box((0, 0, 0), (4, 256, 256))], 4)
+        half = tiles[: len(tiles) // 2]
+        assert half[:, 1, 1].max() == 128 and half[:, 0, 1].max() == 4
+        assert np.array_equal(tile_boxes([Box((0, 0, 0), (4, 256, 256))])[:, 0, 0], np.repeat(np.arange(4), 64))
+
+    def test_fewer_dimensions_have_none(self):
+        box = Box((0, 0), (64, 4096))
+        assert np.array_equal(tile_boxes([box], 4), tile_boxes([box]))
