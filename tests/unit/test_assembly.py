@@ -217,6 +217,18 @@ def test_loops_over_corners_are_written_out():
     text = assemble.inspect(tetrahedra, "llvm")
     body = text[text.index("@ebb.block(") :].split("\n}")[0]
     assert "alloca" not in body and body.count("phi ") == 1
+    assert body.count("call void @llvm.prefetch") == 16 * 2  # two lines of the cache for each block of 72 bytes
+
+
+def test_short_rows_look_ahead_by_themselves():
+    tetrahedra = matrix_edges().tetrahedra
+
+    @ebb.kernel
+    def spread(t: tetrahedra):
+        for i in range(4):
+            t.v[i].p += t.g[i]
+
+    assert "prefetch" not in spread.inspect(tetrahedra, "llvm")
 
 
 def test_only_fastmath_reassociates_and_approximates(rows):

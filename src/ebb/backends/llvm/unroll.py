@@ -19,11 +19,11 @@ FULLY = '!"llvm.loop.unroll.full"'
 
 def is_unrolled(loop: lir.For) -> bool:
     """Whether ``loop`` is to be written out."""
-    length = _length(loop)
-    return length is not None and length <= MOST_STATEMENTS
+    statements = length(loop)
+    return statements is not None and statements <= MOST_STATEMENTS
 
 
-def _length(stmt: lir.Stmt) -> int | None:
+def length(stmt: lir.Stmt) -> int | None:
     """The statements of ``stmt`` when its loops are written out; None if one of them cannot be."""
     turns = 1
     match stmt:
@@ -33,6 +33,6 @@ def _length(stmt: lir.Stmt) -> int | None:
             return None
         case _:
             pass
-    lengths = [_length(inner) for body in bodies(stmt) for inner in body]
-    known = [length for length in lengths if length is not None]
+    lengths = [length(inner) for body in bodies(stmt) for inner in body]
+    known = [each for each in lengths if each is not None]
     return 1 + turns * sum(known) if len(known) == len(lengths) else None
