@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.ahead import Ahead, emit_ahead, plan_ahead
 from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entries
+from ebb.backends.llvm.lines import emit_line, emit_streaming, streams
 from ebb.backends.llvm.statements import StatementEmitter
 from ebb.backends.llvm.strides import is_unit
 from ebb.backends.llvm.writer import ModuleWriter
@@ -18,8 +19,11 @@ from ebb.compiler import lir
 from ebb.compiler.lir_walk import statements
 from ebb.runtime.cpu import PAYLOAD_START
 
-_WHOLE = '!{{!"llvm.loop.vectorize.predicate.enable", i1 true}}'
+_WHOLE = '!"llvm.loop.vectorize.predicate.enable", i1 true'
 """What makes LLVM mask the rows beyond the last whole vector instead of running them one by one."""
+
+_ONE_AT_A_TIME = '!"llvm.loop.interleave.count", i32 1'
+"""What makes LLVM take one register at a time: whole ones are all that there are."""
 
 
 def write_block(program: lir.Program, module: ModuleWriter) -> None:
@@ -53,6 +57,7 @@ class _BlockEmitter(StatementEmitter):
         super().__init__(program, module)
         self.fails = False
         self.ahead: Mapping[int, Ahead] = {}
+        self.buffers: dict[int, tuple[str, str]] = {}
 
     def finish(self, name: str) -> None:
         """Adds the function to the module."""
@@ -62,6 +67,13 @@ class _BlockEmitter(StatementEmitter):
             self.w.do("ret i64 1")
         signature = ", ".join(f"{type_} {parameter}" for type_, parameter in parameters(self.program))
         self.w.finish(f"define internal i64 @{name}({signature}) noinline {self.module.hooks.attributes}")
+
+    def element(self, slot: lir.Slot, index: str) -> str:
+        if slot.number not in self.buffers:
+            return super().element(slot, index)
+        buffer, first = self.buffers[slot.number]
+        place = self.w.emit(f"sub i64 {index}, {first}")
+        return self.w.emit(f"getelementptr inbounds {ops.memory_type(slot.type)}, ptr {buffer}, i64 {place}")
 
     def statement(self, stmt: lir.Stmt) -> None:
         """Emits ``stmt``, and asks for what the same key of a later row leads to."""
@@ -73,13 +85,17 @@ class _BlockEmitter(StatementEmitter):
 
     def row_loop(self, stmt: lir.RowLoop) -> None:
         self.ahead = plan_ahead(stmt)
+        streaming = streams(stmt)
         metadata = ""
         if stmt.rows is lir.Rows.INDEPENDENT:
             self.access_group = self.module.note("distinct !{{}}")
-            parallel = self.module.note(f'!{{{{!"llvm.loop.parallel_accesses", {self.access_group}}}}}')
-            folded = f", {self.module.note(_WHOLE)}" if self.vector_math(stmt) else ""
-            metadata = f", !llvm.loop {self.module.note(f'distinct !{{{{{{self}}, {parallel}{folded}}}}}')}"
-        self.row_nest(stmt.index, 0, stmt.body, metadata)
+            notes = [f'!"llvm.loop.parallel_accesses", {self.access_group}']
+            if self.vector_math(stmt):
+                notes.append(_WHOLE)
+            if streaming:
+                notes.append(_ONE_AT_A_TIME)
+            metadata = self.loop_notes(*notes)
+        self.row_nest(stmt, 0, metadata, streaming)
         self.access_group = None
 
     def vector_math(self, loop: lir.RowLoop) -> bool:
@@ -87,20 +103,31 @@ class _BlockEmitter(StatementEmitter):
 
         Otherwise scalar functions run there, which may round otherwise; random numbers must not depend on that.
         """
-        whole = is_unit(loop)
+        body = loop.body if loop.inside is None else loop.inside.body
+        whole = is_unit(body, loop.index[-1])
         draws = any(isinstance(argument.binding, lir.RandomWord) for argument in self.program.arguments)
-        self.forms = self.module.hooks.vector_math if whole or not draws else {}
+        self.forms = self.module.hooks.vector_math if (whole and loop.inside is None) or not draws else {}
         called = (
             (stmt.operation.function, stmt.temp.type.bits) in self.forms
-            for stmt in statements(loop.body)
+            for stmt in statements(body)
             if isinstance(stmt, lir.Let) and isinstance(stmt.operation, lir.Math)
         )
         return whole and any(called)
 
-    def row_nest(self, index: Sequence[lir.Temp], d: int, body: lir.Body, metadata: str) -> None:
+    def bounds(self, d: int) -> tuple[str, str]:
+        """The first index of a dimension, and the one behind the last."""
+        return f"%low{d}", f"%high{d}"
+
+    def row_nest(self, loop: lir.RowLoop, d: int, metadata: str, streaming: bool) -> None:
         """The loops over the dimensions from ``d`` on; the innermost one has the metadata."""
+        index = loop.index
         if d == len(index) - 1:
-            self.count(index[d], f"%low{d}", f"%high{d}", body, metadata)
+            if streaming:
+                emit_streaming(self, loop, metadata)
+            elif loop.inside is not None:
+                emit_line(self, loop, metadata)
+            else:
+                self.count(index[d], *self.bounds(d), loop.body, metadata)
             return
         head, turn, done = (self.w.fresh(stem) for stem in ("head", "line", "done"))
         before, following = self.w.label, f"%{self.w.fresh('next')}"
@@ -110,7 +137,7 @@ class _BlockEmitter(StatementEmitter):
         name = self.temps[index[d].number] = self.w.emit(f"phi i64 [ %low{d}, %{before} ], [ {following}, %{latch} ]")
         self.w.branch_if(self.w.emit(f"icmp slt i64 {name}, %high{d}"), turn, done)
         self.w.start(turn)
-        self.row_nest(index, d + 1, body, metadata)
+        self.row_nest(loop, d + 1, metadata, streaming)
         self.w.branch(latch)
         self.w.start(latch)
         self.w.do(f"{following} = add nsw i64 {name}, 1")
