@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import ebb
-from ebb.domains import Grid2D, Grid3D, TetMesh, TriMesh
+from ebb.domains import Grid2D, Grid3D, PolyMesh, TetMesh, TriMesh
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
@@ -17,6 +17,7 @@ import fluids_fft
 import grid_particles
 import heat
 import rendermesh
+import smoothing
 import spring_mass
 import stable_fluids
 from bodies import Body
@@ -100,11 +101,24 @@ def stirred_fluid() -> Example:
     return step, (fluid.grid.cells, fluid.particles)
 
 
+def smoothed(mesh: PolyMesh) -> Example:
+    smoothing.prepare(mesh, 0.2, 3)
+
+    def step(number: int) -> object:
+        smoothing.step(mesh, "taubin" if number % 2 else "laplace")
+        quality = smoothing.measure(mesh)
+        return *quality.figures.values(), quality.volume
+
+    return step, tuple(relation for relation in (mesh.vertices, mesh.faces, mesh.cells) if relation.size)
+
+
 EXAMPLES: dict[str, Callable[[], Example]] = {
     "spring_mass": falling_body,
     "heat": heated_torus,
     "rendermesh": twisted_torus,
     "fluids_fft": stirred_fluid,
+    "smoothing of a surface": lambda: smoothed(smoothing.landscape(4)),
+    "smoothing of a solid": lambda: smoothed(PolyMesh.dual(TetMesh.box(2, 1, 1))),
     "grid_particles in a plane": lambda: carried_particles("gyre", 4),
     "stable_fluids in a plane": lambda: flowing("dye", (4, 4), stable_fluids.Physics(tolerance=0.02)),
     "stable_fluids in space": lambda: flowing("smoke", (4, 2, 4), VISCOUS),
