@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from ebb.solvers.conjugate_gradients import ConjugateGradients
+from ebb.solvers.direct import direct
 from ebb.solvers.iteration import Reason, Result
+from ebb.solvers.minres import MINRES
 
-__all__ = ["ConjugateGradients", "Reason", "Result"]
+__all__ = ["MINRES", "ConjugateGradients", "Reason", "Result", "direct"]
