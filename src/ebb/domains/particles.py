@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Iterable
 from keyword import iskeyword
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ import ebb
 from ebb.domains.errors_particles import BadParticles, CannotCouple, NowherePlaced
 from ebb.domains.grid import Grid
 from ebb.domains.grid_locate import LocatedRelation
+from ebb.domains.io.points import read_points, write_points
 from ebb.errors import RelationError
 
 _PRECISIONS = {ebb.float32: np.dtype(np.float32), ebb.float64: np.dtype(np.float64)}
@@ -75,6 +78,51 @@ class Particles(ebb.Relation):
             values = np.asarray(given)
             particles.new_field(field, _type_of(field, values, particles.size, precision), init=values)
         return particles
+
+    @classmethod
+    def load(
+        cls,
+        path: str | PathLike[str],
+        *,
+        dimension: int | None = None,
+        precision: Any = ebb.float32,
+        name: str = "particles",
+    ) -> Particles:
+        """Particles at the points of a file, with its other values for each point as fields.
+
+        Args:
+            path: an archive of NumPy's (.npz) with an array ``pos``, or any file that meshio reads (.vtu, .ply, ...).
+            dimension: how many coordinates to take, of the three that most formats have; those left out must be 0.
+            precision: of ``pos`` and of all fields of floats.
+            name: of the relation.
+
+        Raises:
+            MeshFormatError: the file cannot be read, or holds no such points; a coordinate is not finite.
+            RelationError: an argument is wrong (E540), or a name in the file is none for a field.
+            BackendError: the format is one of meshio's, and meshio is not installed.
+        """
+        if precision not in _PRECISIONS:
+            raise RelationError(BadParticles("precision", _PRECISION, repr(precision)))
+        if dimension is not None and _checked_count("dimension", dimension) not in (1, 2, 3):
+            raise RelationError(BadParticles("dimension", "1, 2 or 3", repr(dimension)))
+        found = read_points(path, dimension, precision)
+        return cls.from_arrays(found.points, precision=precision, name=name, **found.values)
+
+    def save(self, path: str | PathLike[str], fields: Iterable[str | ebb.Field] | None = None) -> None:
+        """Write the particles into an archive of NumPy's (.npz), or in the format of meshio's that the suffix names.
+
+        Archives hold everything as it is. The others have three coordinates, of which the last are 0 where ``pos`` has
+        fewer, 0 and 1 for bools, and the components of a matrix in a row.
+
+        Args:
+            path: where to.
+            fields: to save besides ``pos``: names, or fields of these particles; by default all that hold no keys.
+
+        Raises:
+            MeshFormatError: the file cannot be written, or has no place for a field.
+            BackendError: the format is one of meshio's, and meshio is not installed.
+        """
+        write_points(path, self, fields)
 
     @classmethod
     def random(
@@ -177,7 +225,7 @@ class Particles(ebb.Relation):
 
 def _checked_positions(positions: Any, precision: Any) -> npt.NDArray[Any]:
     if precision not in _PRECISIONS:
-        raise RelationError(BadParticles("precision", "ebb.float32 or ebb.float64", repr(precision)))
+        raise RelationError(BadParticles("precision", _PRECISION, repr(precision)))
     try:
         given = np.asarray(positions)
     except ValueError:
@@ -193,6 +241,7 @@ def _checked_positions(positions: Any, precision: Any) -> npt.NDArray[Any]:
     return points
 
 
+_PRECISION = "ebb.float32 or ebb.float64"
 _POSITIONS = "numbers of the shape (n, d) with d from 1 to 3"
 
 

@@ -115,8 +115,11 @@ def values_to_save(
     if points.dtype.kind != "f":
         points = points.astype(np.float64)
     chosen = [_own_field(path, vertices, cells, field) for field in fields]
-    data = {relation: {f.name: _values(f) for f in chosen if f.relation is relation} for relation in (vertices, cells)}
-    return Saved(points, data[vertices], data[cells])
+    of_vertices, of_cells = (
+        {field.name: plain_values(field) for field in chosen if field.relation is relation}
+        for relation in (vertices, cells)
+    )
+    return Saved(points, of_vertices, of_cells)
 
 
 def _write(name: str, mesh: MeshData, saved: Saved) -> None:
@@ -151,7 +154,7 @@ def _own_field(path: str, vertices: ebb.Relation, cells: ebb.Relation, field: st
     raise MeshFormatError(Unsavable(path, reason))
 
 
-def _values(field: ebb.Field) -> Any:
+def plain_values(field: ebb.Field) -> Any:
     """The values as the formats take them: bools as bytes, matrices as long vectors."""
     values = field.to_numpy()
     if values.dtype == np.bool_:

@@ -51,12 +51,7 @@ def read_blocks(path: str | PathLike[str]) -> tuple[Floats, list[tuple[str, Any]
         BackendError: meshio is not installed.
     """
     name = str(path)
-    try:
-        with Path(path).open("rb"):
-            pass
-    except (OSError, ValueError) as error:
-        raise MeshFormatError(UnreadableFile(name, getattr(error, "strerror", None) or str(error))) from None
-    mesh = _read(name)
+    mesh = _read_file(path)
     points = np.asarray(mesh.points, dtype=np.float64)
     match points.shape:
         case (_, 3):
@@ -66,6 +61,17 @@ def read_blocks(path: str | PathLike[str]) -> tuple[Floats, list[tuple[str, Any]
         case shape:
             raise MeshFormatError(UnknownFormat(name, f"its points are an array of the shape {shape}"))
     return points, [(block.type, block.data) for block in mesh.cells]
+
+
+def read_meshio_points(path: str | PathLike[str]) -> tuple[npt.NDArray[Any], dict[str, npt.NDArray[Any]]]:
+    """The points of the file, of as many coordinates as it has, and its values for all points, by name.
+
+    Raises:
+        MeshFormatError: the file cannot be read, or is of no known format.
+        BackendError: meshio is not installed.
+    """
+    mesh = _read_file(path)
+    return np.asarray(mesh.points), {name: np.asarray(values) for name, values in mesh.point_data.items()}
 
 
 def write_meshio(
@@ -125,6 +131,15 @@ def _counts(mesh: Any) -> dict[str, int]:
     for block in mesh.cells:
         counts[block.type] = counts.get(block.type, 0) + len(block.data)
     return counts
+
+
+def _read_file(path: str | PathLike[str]) -> Any:
+    try:
+        with Path(path).open("rb"):
+            pass
+    except (OSError, ValueError) as error:
+        raise MeshFormatError(UnreadableFile(str(path), getattr(error, "strerror", None) or str(error))) from None
+    return _read(str(path))
 
 
 def _read(name: str) -> Any:
