@@ -100,7 +100,7 @@ def cast_shadow(surface: Surface, samples: int = 64) -> Floor:
     low, high = surface.points.min(axis=0)[:2], surface.points.max(axis=0)[:2]
     reach = surface.points[:, 2].max() * 1.2
     low, high = low - reach, high + reach
-    cell = np.ptp(surface.points[:, 2]) / 150
+    cell = max(np.ptp(surface.points[:, 2]) / 150, np.ptp(surface.points, axis=0).max() / 900)
     shape = np.ceil((high - low) / cell).astype(int)
     points = _fine_points(surface.points[surface.triangles], 0.8 * cell)
     covered = np.zeros(shape[0] * shape[1])
