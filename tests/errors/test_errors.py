@@ -49,7 +49,9 @@ def mark_line(case: Path, diagnostic: Diagnostic) -> int | None:
 
 
 def user_text(error: ebb.EbbError, work: Path) -> str:
-    text = str(error).replace(f"{work}/", "").replace(f"{HERE}/cases/", "").replace(f"{HERE}/", "")
+    text = str(error)
+    for folder in (work, HERE / "cases", HERE, Path(ebb.__file__).parents[1]):
+        text = text.replace(f"{folder}/", "")
     return re.sub(r"0x[0-9a-f]{6,}", "0x...", f"{type(error).__name__}: {text}\n")
 
 

@@ -409,6 +409,10 @@ def _checked_name(what: str, name: Any) -> str:
     return name
 
 
+_MOST_ROWS = 2**48
+"""Addresses have no more bits; beyond it, sizes in bytes would not fit into 64."""
+
+
 def _extents(name: str, size: Any, shape: Any) -> tuple[int, ...]:
     if (size is None) == (shape is None):
         raise RelationError(BadExtent(name, "one of size= and shape= is needed"))
@@ -416,6 +420,8 @@ def _extents(name: str, size: Any, shape: Any) -> tuple[int, ...]:
     found = tuple(_extent(name, extent) for extent in extents)
     if not 1 <= len(found) <= 3:
         raise RelationError(BadExtent(name, f"a grid has one to three dimensions, not {len(found)}"))
+    if prod(found) > _MOST_ROWS:
+        raise RelationError(BadExtent(name, f"{prod(found)} rows are more than any memory holds"))
     return found
 
 

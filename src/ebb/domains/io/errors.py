@@ -28,18 +28,21 @@ class UnreadableFile(Diagnostic):
 
 @record
 class UnknownFormat(Diagnostic):
-    """No reader or writer takes the file, or it holds no cells of the kind that is asked for."""
+    """No reader or writer takes the file, or it holds no cells, or no points, of the kind that is asked for."""
 
     code: ClassVar[str] = "E702"
     path: str
     reason: str
+    what: str = "mesh"
 
     @property
     def title(self) -> str:
-        return f"{self.path!r} holds no mesh that can be used here: {self.reason}"
+        return f"{self.path!r} holds no {self.what} that can be used here: {self.reason}"
 
     @property
     def hints(self) -> tuple[str, ...]:
+        if self.what == "points":
+            return ("archives (.npz) have positions as their array 'pos'; for the other formats, see `meshio --help`",)
         return ("OFF and VEG are read natively; for the other formats, see `meshio --help`",)
 
 

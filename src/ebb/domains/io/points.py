@@ -50,17 +50,17 @@ def read_points(path: str | PathLike[str], dimension: int | None, precision: Any
         values = _read_archive(path)
         if "pos" not in values:
             found = ", ".join(map(repr, values)) or "nothing"
-            raise MeshFormatError(UnknownFormat(name, f"it has {found}, and no array 'pos'"))
+            raise MeshFormatError(UnknownFormat(name, f"it has {found}, and no array 'pos'", "points"))
         points = values.pop("pos")
     else:
         points, values = read_meshio_points(path)
     if points.ndim != 2 or not 1 <= points.shape[1] <= 3 or points.dtype.kind not in "iuf":
         reason = f"its points are {points.dtype} of the shape {points.shape}, and no {_POINTS}"
-        raise MeshFormatError(UnknownFormat(name, reason))
+        raise MeshFormatError(UnknownFormat(name, reason, "points"))
     for field, each in values.items():
         if each.shape[:1] != points.shape[:1]:
             reason = f"{field!r} has the shape {each.shape}, and there are {len(points)} points"
-            raise MeshFormatError(UnknownFormat(name, reason))
+            raise MeshFormatError(UnknownFormat(name, reason, "points"))
     with np.errstate(over="ignore"):
         finite = np.isfinite(points.astype(precision.dtype)).all(axis=1)
     if not finite.all():
@@ -100,13 +100,13 @@ def _read_archive(path: str | PathLike[str]) -> dict[str, npt.NDArray[Any]]:
     try:
         archive: Any = np.load(path, allow_pickle=False)
         if isinstance(archive, np.ndarray):
-            raise MeshFormatError(UnknownFormat(str(path), "it holds one array, and is no archive"))
+            raise MeshFormatError(UnknownFormat(str(path), "it holds one array, and is no archive", "points"))
         with archive:
             return {name: archive[name] for name in archive.files}
     except OSError as error:
         raise MeshFormatError(UnreadableFile(str(path), error.strerror or str(error))) from None
     except (ValueError, EOFError, KeyError, NotImplementedError, BadZipFile) as error:
-        raise MeshFormatError(UnknownFormat(str(path), f"NumPy says {str(error)!r}")) from None
+        raise MeshFormatError(UnknownFormat(str(path), f"NumPy says {str(error)!r}", "points")) from None
 
 
 def _of_dimension(name: str, points: npt.NDArray[Any], dimension: int | None) -> npt.NDArray[Any]:
@@ -114,7 +114,7 @@ def _of_dimension(name: str, points: npt.NDArray[Any], dimension: int | None) ->
         return points
     if dimension > points.shape[1] or points[:, dimension:].any():
         reason = f"its points have {points.shape[1]} coordinates, and {dimension} are asked for"
-        raise MeshFormatError(UnknownFormat(name, reason))
+        raise MeshFormatError(UnknownFormat(name, reason, "points"))
     return points[:, :dimension]
 
 
