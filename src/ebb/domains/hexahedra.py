@@ -7,6 +7,7 @@ z = 1.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 
 from ebb.domains.checks import check_rows
 from ebb.domains.generators import require_count
+from ebb.domains.grid import Grid3D
 from ebb.domains.io.data import Floats, Integers, MeshData
 from ebb.domains.io.errors import DegenerateElement, FoldedElement, InvertedElement, NonManifold, WrongArray
 from ebb.errors import MeshFormatError
@@ -27,7 +29,7 @@ FACES = np.array([(0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (3, 7, 6, 2), (0, 3,
 _NEXT = np.array([(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)])
 
 # Where each corner is in the frame of its element.
-_PLACES = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
+PLACES = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
 
 # Exchanges the lower face with the upper one, which turns an inverted element.
 _TURNED = np.array([4, 5, 6, 7, 0, 1, 2, 3])
@@ -76,7 +78,7 @@ def bricks(points: npt.ArrayLike) -> Bricks:
     nx, ny, nz = (n - 1 for n in array.shape[:3])
     point, element = _numbers((nx + 1, ny + 1, nz + 1)), _numbers((nx, ny, nz))
     cells = np.empty((nx, ny, nz, 8), dtype=np.int64)
-    for corner, (i, j, k) in enumerate(_PLACES.tolist()):
+    for corner, (i, j, k) in enumerate(PLACES.tolist()):
         cells[..., corner] = point[i : nx + i, j : ny + j, k : nz + k]
     neighbors = np.empty((nx, ny, nz, 6), dtype=np.int64)
     neighbors[...] = element[..., None]
@@ -85,6 +87,35 @@ def bricks(points: npt.ArrayLike) -> Bricks:
     neighbors[:, :, 1:, 4], neighbors[:, :, :-1, 5] = element[:, :, :-1], element[:, :, 1:]
     places = np.array(array.reshape(-1, 3), dtype=np.float64)
     return Bricks(places, cells.reshape(-1, 8), neighbors.reshape(-1, 6))
+
+
+def grid_points(grid: Grid3D | npt.ArrayLike) -> npt.NDArray[Any]:
+    """The vertices of a grid, of shape (nx + 1, ny + 1, nz + 1, 3), or the array that is given instead.
+
+    Raises:
+        ValueError: the grid is periodic.
+    """
+    if not isinstance(grid, Grid3D):
+        return np.asarray(grid)
+    if any(grid.periodic):
+        raise ValueError("a periodic grid has no boundary: give one that is not periodic")
+    axes = [
+        start + length * np.linspace(0, 1, count + 1)
+        for start, length, count in zip(grid.origin, grid.extent, grid.shape, strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def named_sides(names: Iterable[str]) -> set[str]:
+    """The sides that are planes of symmetry.
+
+    Raises:
+        ValueError: a name is none of a side.
+    """
+    chosen = set(names)
+    if not chosen <= set(SIDES):
+        raise ValueError(f"symmetry should name sides of {', '.join(SIDES)}, not {sorted(chosen - set(SIDES))}")
+    return chosen
 
 
 def brick_sides(shape: tuple[int, int, int]) -> dict[str, Integers]:

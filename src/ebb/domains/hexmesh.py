@@ -20,6 +20,8 @@ from ebb.domains.hexahedra import (
     bricks,
     check_hexahedra,
     face_neighbors,
+    grid_points,
+    named_sides,
 )
 from ebb.domains.io.data import Integers, MeshData
 from ebb.domains.io.errors import WrongArray
@@ -36,8 +38,9 @@ class HexMesh:
 
     In kernels ``e.xneg`` is the element beyond that side, or ``e`` itself where there is none, so that it can always be
     followed; ``e.boundary(side)``, with a side from 0 to 5, is ``HexMesh.INTERIOR``, ``SYMMETRY`` or ``FREE`` (0, 1, 2)
-    accordingly. For a vertex ``v``, ``v.elements`` are the elements that have it as a corner, and ``v.corners`` the
-    rows of ``corners`` that say so.
+    accordingly. ``e.corner(i)`` is ``e.v[i]``, and ``e.beyond(side)`` the neighbour there: so programs are written that
+    run on a ``HexGrid`` too. For a vertex ``v``, ``v.elements`` are the elements that have it as a corner, and
+    ``v.corners`` the rows of ``corners`` that say so.
 
     Attributes:
         vertices: ``pos`` (vec3f, or vec3d with ``precision=ebb.float64``). Subsets: each entry of ``symmetry``, and of
@@ -103,6 +106,14 @@ class HexMesh:
 
     def _add_members(self) -> None:
         mesh = self
+
+        @self.elements.member
+        def corner(e: Any, i: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            return e.v[i]
+
+        @self.elements.member
+        def beyond(e: Any, side: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            return e[SIDES[side]]
 
         @self.elements.member
         def boundary(e: Any, side: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
@@ -179,13 +190,10 @@ class HexMesh:
             MeshFormatError: the array is of another shape, or an element without volume, inverted or folded.
             ValueError: the grid is periodic, or ``symmetry`` names no side.
         """
-        points = _grid_points(grid) if isinstance(grid, Grid3D) else np.asarray(grid)
+        points = grid_points(grid)
         made = bricks(points)
         x, y, z = points.shape[:3]
-        sides = brick_sides((x, y, z))
-        chosen = set(symmetry)
-        if not chosen <= sides.keys():
-            raise ValueError(f"symmetry should name sides of {', '.join(SIDES)}, not {sorted(chosen - sides.keys())}")
+        sides, chosen = brick_sides((x, y, z)), named_sides(symmetry)
         mesh = cls(
             MeshData(made.points, made.cells),
             symmetry={name: rows for name, rows in sides.items() if name in chosen},
@@ -253,16 +261,6 @@ class HexMesh:
             f"<HexMesh: {self.vertices.size} vertices, {self.elements.size} elements, "
             f"{self.quads.size} boundary quadrangles>"
         )
-
-
-def _grid_points(grid: Grid3D) -> npt.NDArray[np.float64]:
-    if any(grid.periodic):
-        raise ValueError("a periodic grid has no boundary: make the HexMesh from one that is not periodic")
-    axes = [
-        start + length * np.linspace(0, 1, count + 1)
-        for start, length, count in zip(grid.origin, grid.extent, grid.shape, strict=True)
-    ]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
 def _node_mask(mesh: MeshData, name: str, given: npt.ArrayLike) -> npt.NDArray[np.bool_]:

@@ -111,7 +111,7 @@ def values_to_save(
     place = _own_field(path, vertices, cells, "pos" if positions is None else positions)
     if place.relation is not vertices or place.type.shape != (3,) or place.target is not None:
         raise MeshFormatError(Unsavable(path, f"{place.path} is no vector of 3 numbers at each vertex"))
-    points = place.to_numpy()
+    points = place.to_numpy().reshape(vertices.size, 3)
     if points.dtype.kind != "f":
         points = points.astype(np.float64)
     chosen = [_own_field(path, vertices, cells, field) for field in fields]
@@ -155,8 +155,9 @@ def _own_field(path: str, vertices: ebb.Relation, cells: ebb.Relation, field: st
 
 
 def plain_values(field: ebb.Field) -> Any:
-    """The values as the formats take them: bools as bytes, matrices as long vectors."""
+    """The values as the formats take them, row by row: bools as bytes, matrices as long vectors."""
     values = field.to_numpy()
     if values.dtype == np.bool_:
         values = values.astype(np.uint8)
-    return values.reshape(len(values), prod(values.shape[1:])) if values.ndim > 2 else values
+    size, shape = field.relation.size, values.shape[len(field.relation.shape) :]
+    return values.reshape((size, prod(shape)) if shape else size)

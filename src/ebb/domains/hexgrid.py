@@ -1,0 +1,142 @@
+"""Solids of hexahedra that lie as the cells of a grid do: what ``HexMesh`` has in keys, affine maps find here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import ebb
+from ebb.domains.checks import largest_of
+from ebb.domains.grid import Grid3D
+from ebb.domains.hexahedra import PLACES, SIDES, brick_points, bricks, check_hexahedra, grid_points, named_sides
+from ebb.domains.hexmesh import HexMesh
+from ebb.domains.io.data import MeshData
+from ebb.domains.io.files import write_mesh
+
+
+def _shifted(place: Iterable[int]) -> tuple[tuple[int, ...], ...]:
+    """The affine map that adds ``place`` to the indices of an element."""
+    x, y, z = place
+    return (1, 0, 0, x), (0, 1, 0, y), (0, 0, 1, z)
+
+
+# The maps from an element to its corners, and to what is beyond its sides.
+_CORNERS = tuple(map(_shifted, PLACES.tolist()))
+_SIDES = tuple(_shifted(way if axis == other else 0 for other in range(3)) for axis in range(3) for way in (-1, 1))
+
+
+class HexGrid:
+    """A box of hexahedra, straight or bent, whose elements and vertices are grid relations, so that no key is stored.
+
+    In kernels elements have the members that those of a ``HexMesh`` have: ``e.corner(i)``, a vertex; ``e.xneg`` and so
+    on and ``e.beyond(side)``, an element, which is ``e`` itself where there is none; ``e.boundary(side)``, which is
+    ``HexMesh.INTERIOR``, ``SYMMETRY`` or ``FREE``. So one kernel without annotation runs on both. Here ``i`` and
+    ``side`` are numbers that are known when the kernel is compiled (``for side in (0, 1, 2):``).
+
+    Attributes:
+        vertices: ``pos`` (vec3f, or vec3d with ``precision=ebb.float64``). Subsets: the six sides, by name.
+        elements: one less than vertices along each axis.
+        shape: how many elements lie along each axis.
+    """
+
+    def __init__(self, points: npt.NDArray[Any], *, symmetry: Iterable[str] = (), precision: Any = ebb.float32) -> None:
+        """The relations of points of the shape (nx + 1, ny + 1, nz + 1, 3), which are not checked."""
+        largest_of(precision)
+        nx, ny, nz = (count - 1 for count in points.shape[:3])
+        self.shape: tuple[int, int, int] = (nx, ny, nz)
+        self.vertices = ebb.Relation("vertices", shape=(nx + 1, ny + 1, nz + 1))
+        self.elements = ebb.Relation("elements", shape=self.shape)
+        self.vertices.new_field("pos", ebb.vector(precision, 3), init=points)
+        for number, name in enumerate(SIDES):
+            axis, upper = divmod(number, 2)
+            end = slice(-1, None) if upper else slice(0, 1)
+            self.vertices.new_subset(name, tuple(end if other == axis else slice(None) for other in range(3)))
+        self._add_members(named_sides(symmetry))
+
+    def _add_members(self, symmetry: set[str]) -> None:
+        elements, vertices = self.elements, self.vertices
+        kinds = tuple(HexMesh.SYMMETRY if name in symmetry else HexMesh.FREE for name in SIDES)
+        last = tuple(count - 1 if upper else 0 for count in self.shape for upper in range(2))
+        axes = (0, 0, 1, 1, 2, 2)
+
+        @elements.member
+        def corner(e: Any, i: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            return ebb.affine(vertices, _CORNERS[i], e)
+
+        @elements.member
+        def beyond(e: Any, side: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            return ebb.affine(elements, _SIDES[side], e, edge="clamp")
+
+        @elements.member
+        def boundary(e: Any, side: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            return kinds[side] * ebb.int32(ebb.coords(e)[axes[side]] == last[side])
+
+        for number, name in enumerate(SIDES):
+            _add_neighbor(elements, name, number)
+
+    @classmethod
+    def from_grid(
+        cls, grid: Grid3D | npt.ArrayLike, *, symmetry: Iterable[str] = (), precision: Any = ebb.float32
+    ) -> HexGrid:
+        """The cells of a grid as elements.
+
+        Args:
+            grid: a ``Grid3D``, or points of the shape (nx + 1, ny + 1, nz + 1, 3), for a body that is a bent box.
+            symmetry: those sides that are planes of symmetry, of ``xneg xpos yneg ypos zneg zpos``.
+            precision: the type of the coordinates, ``ebb.float32`` or ``ebb.float64``.
+
+        Raises:
+            MeshFormatError: the array is of another shape, or an element without volume, inverted or folded.
+            ValueError: the grid is periodic, or ``symmetry`` names no side.
+        """
+        points = grid_points(grid)
+        made = bricks(points)
+        check_hexahedra(MeshData(made.points, made.cells), False, largest_of(precision))
+        return cls(points, symmetry=symmetry, precision=precision)
+
+    @classmethod
+    def box(
+        cls,
+        nx: int,
+        ny: int,
+        nz: int,
+        size: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        *,
+        symmetry: Iterable[str] = (),
+        precision: Any = ebb.float32,
+    ) -> HexGrid:
+        """A box with a corner at the origin, of nx * ny * nz bricks; the rest is as in ``from_grid``."""
+        return cls(brick_points((nx, ny, nz), size), symmetry=symmetry, precision=precision)
+
+    def save(
+        self,
+        path: str | PathLike[str],
+        fields: Iterable[str | ebb.Field] = (),
+        positions: str | ebb.Field | None = None,
+    ) -> None:
+        """Write the solid in the format of meshio's that the suffix names, with the last axis fastest.
+
+        Args:
+            path: where to.
+            fields: to save with it: names of fields of the vertices, or fields of vertices or elements.
+            positions: the field of the vertices that says where they are, by default ``pos``.
+
+        Raises:
+            MeshFormatError: the file cannot be written, or has no place for a field.
+            BackendError: meshio is not installed.
+        """
+        made = bricks(np.empty((*self.vertices.shape, 3)))
+        write_mesh(path, MeshData(made.points, made.cells), self.vertices, self.elements, positions, fields)
+
+    def __repr__(self) -> str:
+        return f"<HexGrid: {' x '.join(map(str, self.shape))} elements>"
+
+
+def _add_neighbor(elements: ebb.Relation, name: str, side: int) -> None:
+    @elements.member(name)
+    def neighbor(e: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+        return ebb.affine(elements, _SIDES[side], e, edge="clamp")
