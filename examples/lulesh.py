@@ -386,10 +386,6 @@ def unstructured(size: int) -> Mesh:
     lower, upper = ("xneg", "yneg", "zneg"), ("xpos", "ypos", "zpos")
 
     @zones.member
-    def corner(z, i):
-        return z.v[i]
-
-    @zones.member
     def before(z, axis):
         return z[lower[axis]]
 
