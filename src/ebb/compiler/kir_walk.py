@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from ebb.compiler import kir
 from ebb.compiler.kir import Body, Expr, Stmt
 from ebb.records import replace
 from ebb.relations.field import Field
 
+_OPERANDS: tuple[tuple[Callable[[Any], tuple[Expr, ...]], tuple[type[Expr], ...]], ...] = (
+    (lambda expr: (), (kir.Const, kir.Uniform, kir.ReadLocal, kir.ReadGlobal, kir.Random)),
+    (lambda expr: (expr.key,), (kir.ReadField, kir.Affine, kir.RowId, kir.Coords, kir.QuerySize)),
+    (lambda expr: (expr.operand,), (kir.Unary, kir.Cast, kir.Splat, kir.RowAt)),
+    (lambda expr: (expr.left, expr.right), (kir.Binary, kir.Compare, kir.Logic)),
+    (lambda expr: (expr.condition, expr.then, expr.other), (kir.Choose,)),
+    (lambda expr: expr.elements, (kir.Build,)),
+    (lambda expr: (expr.operand, *expr.indices), (kir.Component,)),
+    (lambda expr: expr.arguments, (kir.Call,)),
+)
+
+_CHILDREN = {kind: take for take, kinds in _OPERANDS for kind in kinds}
+"""By type: kernels are walked so often that to try one type after the other took a tenth of a compilation."""
+
 
 def children(expr: Expr) -> tuple[Expr, ...]:
     """The operands of ``expr``, in the order in which they are evaluated."""
-    match expr:
-        case kir.Const() | kir.Uniform() | kir.ReadLocal() | kir.ReadGlobal() | kir.Random():
-            return ()
-        case kir.ReadField() | kir.Affine() | kir.RowId() | kir.Coords() | kir.QuerySize():
-            return (expr.key,)
-        case kir.Unary() | kir.Cast() | kir.Splat() | kir.RowAt():
-            return (expr.operand,)
-        case kir.Binary() | kir.Compare() | kir.Logic():
-            return (expr.left, expr.right)
-        case kir.Choose():
-            return (expr.condition, expr.then, expr.other)
-        case kir.Build():
-            return expr.elements
-        case kir.Component():
-            return (expr.operand, *expr.indices)
-        case kir.Call():
-            return expr.arguments
+    return _CHILDREN[type(expr)](expr)
 
 
 def operands(stmt: Stmt) -> tuple[Expr, ...]:
@@ -69,18 +68,26 @@ def statements(body: Body) -> Iterator[Stmt]:
             yield from statements(inner)
 
 
-def subexpressions(expr: Expr) -> Iterator[Expr]:
+def subexpressions(expr: Expr) -> list[Expr]:
     """``expr`` and all expressions inside it, operands before what uses them."""
+    found: list[Expr] = []
+    _collect(expr, found)
+    return found
+
+
+def _collect(expr: Expr, found: list[Expr]) -> None:
     for child in children(expr):
-        yield from subexpressions(child)
-    yield expr
+        _collect(child, found)
+    found.append(expr)
 
 
-def expressions(body: Body) -> Iterator[Expr]:
+def expressions(body: Body) -> list[Expr]:
     """All expressions in ``body``, at any depth."""
+    found: list[Expr] = []
     for stmt in statements(body):
         for operand in operands(stmt):
-            yield from subexpressions(operand)
+            _collect(operand, found)
+    return found
 
 
 def queried_fields(kernel: kir.Kernel) -> tuple[Field, ...]:
