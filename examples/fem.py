@@ -12,8 +12,8 @@ D = a M + b K and A = M + h D + h^2 K,
     A dv = h (f_ext - f_int(q) - (h K + D) v),   v += dv,   q += h v
 
 which Vega FEM takes too (Barbic, Sin and Schroeder, 2012), or Newton's iteration for the step that is not linearised
-(`SoftBody.newton`). Fixed vertices are removed from the system. Units are those of the mesh: with metres, kilograms
-and seconds, moduli are in pascals.
+(``newton`` of `SoftBody.step`). Fixed vertices are removed from the system. Units are those of the mesh: with metres,
+kilograms and seconds, moduli are in pascals.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ import numpy.typing as npt
 import ebb
 from ebb.domains import TetMesh
 from ebb.solvers import ConjugateGradients, Reason
+
+LARGE = 50_000
+"""Vertices from which on it matters where they lie in memory."""
 
 kinetic = ebb.Global(ebb.float64, 0.0)
 elastic = ebb.Global(ebb.float64, 0.0)
@@ -130,7 +133,7 @@ def init_elements(t, own: ebb.float64, other: ebb.float64):
     origin = ebb.vec3d(t.v[0].pos)
     a, b, c = ebb.vec3d(t.v[1].pos) - origin, ebb.vec3d(t.v[2].pos) - origin, ebb.vec3d(t.v[3].pos) - origin
     t.gradients = ebb.inverse([[a.x, b.x, c.x], [a.y, b.y, c.y], [a.z, b.z, c.z]])
-    mass = t.density * t.volume
+    mass = t.material.density * t.volume
     for i in range(4):
         t.v[i].mass += mass / 4
         for j in range(4):
@@ -250,14 +253,18 @@ class SoftBody:
         """
         self.mesh, self.law, self.damping = mesh, law, damping
         vertices, edges, tetrahedra = mesh.vertices, mesh.edges, mesh.tetrahedra
+        if vertices.size > LARGE:
+            vertices.reorder()  # kernels would have it done later, when there are matrices to move
         for name in ("q", "qd", "q0", "qd0", "dv", "rhs", "load", "force"):
             vertices.new_field(name, ebb.vec3d, init=0.0)
         vertices.new_field("mass", ebb.float64, init=0.0)
         edges.new_field("mass", ebb.float64, init=0.0)
         edges.new_field("A", ebb.mat3d, init=0.0)
         tetrahedra.new_field("gradients", ebb.mat3d)
-        for name, values in _of_each(tetrahedra.size, materials).items():
-            tetrahedra.new_field(name, ebb.float64, init=values)
+        self.materials = ebb.Relation("materials", size=len(materials))
+        for name in ("mu", "lam", "density"):
+            self.materials.new_field(name, ebb.float64, init=[getattr(each, name) for each in materials])
+        tetrahedra.new_field("material", self.materials, init=_of_each(tetrahedra.size, materials))
         # The consistent mass is the integral of the products of two shape functions (Zienkiewicz and Taylor, 2000).
         own, other = (1 / 4, 0.0) if lumped else (1 / 10, 1 / 20)
         init_elements(tetrahedra, own, other)
@@ -398,13 +405,12 @@ def _as_mask(size: int, rows: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     return mask
 
 
-def _of_each(size: int, materials: Sequence[Material]) -> dict[str, npt.NDArray[np.float64]]:
-    """The moduli and the density of each tetrahedron."""
-    values = {name: np.full(size, np.nan) for name in ("mu", "lam", "density")}
-    for material in materials:
-        for name, array in values.items():
-            array[slice(None) if material.rows is None else material.rows] = getattr(material, name)
-    without = np.flatnonzero(np.isnan(values["density"]))
+def _of_each(size: int, materials: Sequence[Material]) -> npt.NDArray[np.int64]:
+    """The number of each tetrahedron's material."""
+    numbers = np.full(size, -1)
+    for number, material in enumerate(materials):
+        numbers[slice(None) if material.rows is None else material.rows] = number
+    without = np.flatnonzero(numbers < 0)
     if len(without):
         raise ValueError(f"{len(without)} tetrahedra have no material, the first is {without[0]}")
-    return values
+    return numbers

@@ -63,32 +63,32 @@ def skew(a):
 
 @ebb.kernel
 def assemble(t, scale: ebb.float64):
-    f, g = fem.deformation(t), fem.shape_gradients(t)
+    f, g, mu, lam = fem.deformation(t), fem.shape_gradients(t), t.material.mu, t.material.lam
     r, stretch = rotation(f)
-    tension = t.lam * (stretch - 3) - 2 * t.mu
+    tension = lam * (stretch - 3) - 2 * mu
     h = tension * hinge(f, r, stretch)
     if tension < 0 and ebb.det(f) < 0:
         # What has turned over is past its buckling: with so much of the turning, the stiffness is still positive.
-        h *= min(1.0, -t.mu / (ebb.trace(h) - 1e-300))
+        h *= min(1.0, -mu / (ebb.trace(h) - 1e-300))
     for i in range(4):
         a, turned = f @ g[i], r @ g[i]
-        t.v[i].force += t.volume * (2 * t.mu * a + tension * turned)  # P g_i
+        t.v[i].force += t.volume * (2 * mu * a + tension * turned)  # P g_i
         turning = skew(turned) @ h
         for j in range(4):
             b = r @ g[j]
-            block = t.lam * ebb.outer(turned, b) - turning @ skew(b)
+            block = lam * ebb.outer(turned, b) - turning @ skew(b)
             for d in (0, 1, 2):
-                block[d, d] += 2 * t.mu * ebb.dot(g[i], g[j])
+                block[d, d] += 2 * mu * ebb.dot(g[i], g[j])
             t.e[i, j].A += scale * t.volume * block
 
 
 @ebb.kernel
 def energy(t):
-    f = fem.deformation(t)
+    f, mu, lam = fem.deformation(t), t.material.mu, t.material.lam
     r, stretch = rotation(f)
     strain = f - r
     square = ebb.trace(strain.T @ strain)
-    fem.elastic.value += t.volume * (t.mu * square + 0.5 * t.lam * (stretch - 3) * (stretch - 3))
+    fem.elastic.value += t.volume * (mu * square + 0.5 * lam * (stretch - 3) * (stretch - 3))
 
 
 LAW = fem.Law("corotational", assemble, energy, bears_inversion=True)

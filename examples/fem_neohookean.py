@@ -18,27 +18,27 @@ import fem_program
 
 @ebb.kernel
 def assemble(t, scale: ebb.float64):
-    f, g = fem.deformation(t), fem.shape_gradients(t)
+    f, g, mu, lam = fem.deformation(t), fem.shape_gradients(t), t.material.mu, t.material.lam
     inverse = ebb.inverse(f).T
-    pressure = t.lam * ebb.log(ebb.det(f))
+    pressure = lam * ebb.log(ebb.det(f))
     for i in range(4):
         # In space, the gradient of the shape function is F^-T g.
         a, c = f @ g[i], inverse @ g[i]
-        t.v[i].force += t.volume * (t.mu * (a - c) + pressure * c)  # P g_i
+        t.v[i].force += t.volume * (mu * (a - c) + pressure * c)  # P g_i
         for j in range(4):
             d = inverse @ g[j]
-            block = t.lam * ebb.outer(c, d) + (t.mu - pressure) * ebb.outer(d, c)
+            block = lam * ebb.outer(c, d) + (mu - pressure) * ebb.outer(d, c)
             for k in (0, 1, 2):
-                block[k, k] += t.mu * ebb.dot(g[i], g[j])
+                block[k, k] += mu * ebb.dot(g[i], g[j])
             t.e[i, j].A += scale * t.volume * block
 
 
 @ebb.kernel
 def energy(t):
-    f = fem.deformation(t)
+    f, mu, lam = fem.deformation(t), t.material.mu, t.material.lam
     log_j = ebb.log(ebb.det(f))
     stretch = ebb.trace(f.T @ f) - 3
-    fem.elastic.value += t.volume * (0.5 * t.mu * stretch - t.mu * log_j + 0.5 * t.lam * log_j * log_j)
+    fem.elastic.value += t.volume * (0.5 * mu * stretch - mu * log_j + 0.5 * lam * log_j * log_j)
 
 
 LAW = fem.Law("neo-Hookean", assemble, energy, bears_inversion=False)

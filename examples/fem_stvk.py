@@ -19,17 +19,17 @@ import fem_program
 
 @ebb.kernel
 def assemble(t, scale: ebb.float64):
-    f, g = fem.deformation(t), fem.shape_gradients(t)
+    f, g, mu, lam = fem.deformation(t), fem.shape_gradients(t), t.material.mu, t.material.lam
     strain = 0.5 * (f.T @ f - ebb.identity(3))
-    stress = t.lam * ebb.trace(strain) * ebb.identity(3) + 2 * t.mu * strain  # the second Piola-Kirchhoff stress S
-    left = t.mu * (f @ f.T)
+    stress = lam * ebb.trace(strain) * ebb.identity(3) + 2 * mu * strain  # the second Piola-Kirchhoff stress S
+    left = mu * (f @ f.T)
     for i in range(4):
         a, s = f @ g[i], stress @ g[i]
         t.v[i].force += t.volume * (f @ s)  # P g_i, where P = F S
         for j in range(4):
             # dP g_i where corner j moves by d: dF = d outer g_j in dP = dF S + F dS.
             b = f @ g[j]
-            block = t.lam * ebb.outer(a, b) + t.mu * ebb.outer(b, a) + ebb.dot(g[i], g[j]) * left
+            block = lam * ebb.outer(a, b) + mu * ebb.outer(b, a) + ebb.dot(g[i], g[j]) * left
             for d in (0, 1, 2):
                 block[d, d] += ebb.dot(s, g[j])
             t.e[i, j].A += scale * t.volume * block
@@ -37,10 +37,10 @@ def assemble(t, scale: ebb.float64):
 
 @ebb.kernel
 def energy(t):
-    f = fem.deformation(t)
+    f, mu, lam = fem.deformation(t), t.material.mu, t.material.lam
     strain = 0.5 * (f.T @ f - ebb.identity(3))
     trace = ebb.trace(strain)
-    fem.elastic.value += t.volume * (0.5 * t.lam * trace * trace + t.mu * ebb.trace(strain @ strain))
+    fem.elastic.value += t.volume * (0.5 * lam * trace * trace + mu * ebb.trace(strain @ strain))
 
 
 LAW = fem.Law("St. Venant-Kirchhoff", assemble, energy, bears_inversion=True)

@@ -137,6 +137,10 @@ def reorder(relation: Relation) -> None:
         for field in moving.fields.values():
             field.check_no_view()
     _permute(root, order, "for locality, as asked")
+    # Groups follow now, rather than at the next launch: fields made in the meantime need not move then.
+    for moved in _grouped_by(root):
+        if moved.storage.primary is not None:
+            moved.storage.primary.refresh()
 
 
 # ---- When ----
@@ -232,7 +236,11 @@ def _candidates(route: Route, before: Spread) -> Iterator[Candidate]:
 def _order_of(relation: Relation) -> Rows | None:
     """An order for the rows of a relation that no grouping orders, or None where there is nothing to order them by."""
     sources = {source: _keys_into(relation, source) for source in _referring(relation)}
-    graph = _graph(relation, list(sources.values()))
+    # A relation of pairs, as edges are, mostly has all links of the larger cells besides, which would take more memory.
+    pairs = [keys for keys in sources.values() if sum([key.type.size for key in keys]) == 2]
+    graph = _graph(relation, pairs)
+    if not graph.degrees.all():
+        graph = _graph(relation, list(sources.values()))
     if graph.neighbours.size:
         return cuthill_mckee(graph)
     own = next((field.target for field in relation.fields.values() if field.target not in (None, relation)), None)
