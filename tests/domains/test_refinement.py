@@ -37,7 +37,9 @@ def test_vertices_keep_their_numbers_and_middles_follow():
     tail, head = coarse.edges.tail.to_numpy(), coarse.edges.head.to_numpy()
     ends = np.stack([tail, head])[:, tail < head]
     middles = coarse.vertices.pos.to_numpy()[ends].mean(axis=0)
-    np.testing.assert_allclose(fine.vertices.pos.to_numpy()[n:], middles, atol=1e-6)
+    found = fine.vertices.pos.to_numpy()[n:]
+    assert len(found) == len(middles)
+    assert np.linalg.norm(found[:, None] - middles[None], axis=2).min(axis=0).max() < 1e-6
 
 
 def test_the_shortest_diagonal_is_taken():

@@ -25,6 +25,9 @@ _AROUND = np.array(
 )
 """For each diagonal, the four children around it."""
 
+_CURVE_BITS = 10
+"""How often the bounding box is halved along each axis to order points: 1024 cubes along its longest side."""
+
 _PART = 1 << 16
 """How many tetrahedra are split at a time, so that little memory is taken besides the result."""
 
@@ -33,19 +36,34 @@ def refine_tetrahedra(mesh: MeshData) -> MeshData:
     """Each tetrahedron in eight: four at its corners, and four around the shortest diagonal of the octahedron between.
 
     This is Bey's red refinement ("Tetrahedral grid refinement", Computing 55, 1995), with the diagonal by length. The
-    points stay and keep their numbers; after them come the middles of the edges, in the order of ``undirected_edges``.
-    The children of a tetrahedron follow one another, so those of row i are the rows from 8 i to 8 i + 7.
+    points stay and keep their numbers; after them come the middles of the edges, of which those that lie close together
+    mostly have close numbers. The children of the tetrahedron i are those from 8 i to 8 i + 7.
     """
     edges = undirected_edges(mesh.cells, len(mesh.points))
-    points = np.concatenate([mesh.points, (mesh.points[edges.low] + mesh.points[edges.high]) / 2])
+    middles = (mesh.points[edges.low] + mesh.points[edges.high]) / 2
+    order = _along_curve(middles)
+    points = np.concatenate([mesh.points, middles[order]])
+    number = np.empty_like(order)
+    number[order] = np.arange(len(mesh.points), len(points))
     cells = np.empty((len(mesh.cells), 8, 4), dtype=np.int64)
     for start in range(0, len(cells), _PART):
         part = slice(start, start + _PART)
-        _split(
-            np.hstack([mesh.cells[part], len(mesh.points) + edges.of_pair[part].astype(np.int64)]), points, cells[part]
-        )
+        _split(np.hstack([mesh.cells[part], number[edges.of_pair[part]]]), points, cells[part])
     regions = tuple(replace(region, rows=_children(region)) for region in mesh.regions)
     return MeshData(points, cells.reshape(-1, 4), materials=mesh.materials, regions=regions)
+
+
+def _along_curve(points: Floats) -> Integers:
+    """The order of points along Morton's curve, on which neighbours are mostly close to each other."""
+    low = points.min(axis=0, initial=np.inf)
+    extent = float(np.max(points - low, initial=0)) or 1.0
+    code = np.zeros(len(points), dtype=np.int64)
+    cell = ((points - low) * ((1 << _CURVE_BITS) - 1) / extent).astype(np.int64)
+    for axis in range(3):
+        bits = cell[:, axis]
+        for bit in range(_CURVE_BITS):
+            code |= ((bits >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
 
 
 def _split(nodes: Integers, points: Floats, children: Integers) -> None:
