@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.constants import AXPY_FACTOR, DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
+from benchmarks.constants import AXPY_FACTOR, DT, PARTICLE_DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
 from benchmarks.data import Arrays
 
 
@@ -47,6 +47,20 @@ def heat_steps(arrays: Arrays, steps: int) -> Arrays:
     for _ in range(steps):
         old = old + rate * np.bincount(tail, weight * (old[head] - old[tail]), len(old))
     return {"old": old}
+
+
+def particle_steps(arrays: Arrays, steps: int) -> Arrays:
+    pos, vel = (arrays[name].astype(np.float64) for name in ("pos", "vel"))
+    n = len(vel)
+    for _ in range(steps):
+        at = pos * n - 0.5
+        first = np.floor(at).astype(int)
+        (x, y), (i, j) = (at - first).T[:, :, None], first.T % n
+        ahead, above = (i + 1) % n, (j + 1) % n
+        low = (1 - x) * vel[i, j] + x * vel[ahead, j]
+        high = (1 - x) * vel[i, above] + x * vel[ahead, above]
+        pos = (pos + PARTICLE_DT * ((1 - y) * low + y * high)) % 1
+    return {"pos": pos}
 
 
 def pcg_steps(arrays: Arrays, steps: int) -> Arrays:

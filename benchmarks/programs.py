@@ -9,6 +9,7 @@ from enum import Enum
 import numpy as np
 
 from benchmarks import data, expected
+from benchmarks import fluids as fluid_data
 from benchmarks.constants import FMA_PER_STEP, PCG_ITERATIONS
 from benchmarks.data import Arrays
 
@@ -101,6 +102,27 @@ def pcg_work(arrays: Arrays) -> Work:
     return Work(PCG_ITERATIONS * iteration.bytes + 32 * vertices, PCG_ITERATIONS * iteration.flops)
 
 
+def fluid_work(arrays: Arrays) -> Work:
+    """Velocities are read twice and carried on, waves are read and written, positions too: 48 bytes a cell."""
+    cells, waves = arrays["u"].size, arrays["waves_u"].size
+    return Work((8 + 16 + 8 + 16) * cells + 16 * waves, (2 * 15 + 18) * cells + 15 * waves // 2)
+
+
+def fluid_program(n: int) -> Program:
+    """The kernels of the fluid among frequencies on n x n cells."""
+    return Program(
+        f"fluid-{n}",
+        f"a fluid among frequencies on {n}^2 cells, without its transforms",
+        "fluid",
+        fluid_data.fluid,
+        {Scale.FULL: n, Scale.QUICK: n // 2, Scale.TINY: 8},
+        fluid_data.fluid_steps,
+        tolerance=3e-3,  # a particle on the border of cells may take the velocity of either
+        work=fluid_work,
+        systems=("ebb", "cpp"),
+    )
+
+
 BOX = {Scale.FULL: 52, Scale.QUICK: 24, Scale.TINY: 3}
 
 
@@ -117,6 +139,21 @@ def springs(
         expected.spring_steps,
         work=gather_work if code == "gather" else scatter_work,
         against=(against,) if against else (),
+    )
+
+
+def particles(name: str, text: str, against: str = "") -> Program:
+    """A million particles carried through a flow on 256^2 cells by steps of Euler's."""
+    return Program(
+        name,
+        f"10^6 particles carried by an interpolated flow, {text}",
+        name,
+        data.particles,
+        {Scale.FULL: 1_000_000, Scale.QUICK: 100_000, Scale.TINY: 50},
+        expected.particle_steps,
+        tolerance=1e-5,
+        against=(against,) if against else (),
+        systems=("ebb", "cpp"),
     )
 
 
@@ -164,6 +201,8 @@ PROGRAMS = (
         work=pcg_work,
         check_steps=1,
     ),
+    particles("particles", "each finds its cell"),
+    particles("particles-keys", "each has a key of its cell, and finds the next", "particles"),
     Program(
         "launch",
         "one launch on 1 row",

@@ -16,17 +16,19 @@ from benchmarks.constants import (
     AXPY_FACTOR,
     DT,
     FMA_PER_STEP,
+    PARTICLE_DT,
     PCG_ITERATIONS,
     STENCIL_CENTER,
     STENCIL_SIDE,
     STIFFNESS,
 )
 from benchmarks.data import Arrays, aligned
+from benchmarks.fluids import FLUID_DT, SPREAD, fluid_outputs
 from benchmarks.systems import Prepared, Programs
 
 THREADS = int(os.environ["OMP_NUM_THREADS"])
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-std=c++17", "-shared", "-fPIC")
-SOURCE = Path(__file__).with_name("kernels.cpp")
+SOURCE = "kernels.cpp"
 
 
 def version() -> str:
@@ -35,13 +37,15 @@ def version() -> str:
 
 
 @cache
-def library() -> ctypes.CDLL:
+def library(source: str = SOURCE) -> ctypes.CDLL:
+    """The functions of a source file beside this one, compiled if they are not yet."""
+    file = Path(__file__).with_name(source)
     flags = (*FLAGS, *(("-fopenmp",) if THREADS > 1 else ()))
-    key = hashlib.sha256(SOURCE.read_bytes() + repr((flags, version())).encode()).hexdigest()[:16]
-    path = Path(os.environ["BENCHMARKS_CACHE"]) / f"kernels-{key}.so"
+    key = hashlib.sha256(file.read_bytes() + repr((flags, version())).encode()).hexdigest()[:16]
+    path = Path(os.environ["BENCHMARKS_CACHE"]) / f"{file.stem}-{key}.so"
     if not path.exists():
         made = path.with_suffix(f".{os.getpid()}")
-        done = subprocess.run(["g++", *flags, "-o", str(made), str(SOURCE)], capture_output=True, text=True)
+        done = subprocess.run(["g++", *flags, "-o", str(made), str(file)], capture_output=True, text=True)
         if done.returncode != 0:
             raise RuntimeError(f"g++ {' '.join(flags)} failed:\n{done.stderr}")
         made.replace(path)
@@ -60,9 +64,9 @@ def convert(argument: object) -> object:
             return argument
 
 
-def bind(name: str, *arguments: object) -> Callable[[int], None]:
+def bind(name: str, *arguments: object, source: str = SOURCE) -> Callable[[int], None]:
     """Calls of that function with these arguments, converted once."""
-    function = getattr(library(), name)
+    function = getattr(library(source), name)
     function.restype = None
     converted = [convert(argument) for argument in arguments]
 
@@ -132,10 +136,29 @@ def heat(arrays: Arrays) -> Prepared:
     return alternate(bind("heat", *given, old, new), bind("heat", *given, new, old), old, new)
 
 
+def particles(arrays: Arrays) -> Prepared:
+    pos, vel = arrays["pos"], arrays["vel"]
+    return Prepared(bind("particles", len(pos), len(vel), pos, vel, PARTICLE_DT), some(arrays, "pos"))
+
+
+def particles_keys(arrays: Arrays) -> Prepared:
+    pos, vel = arrays["pos"], arrays["vel"]
+    i, j = np.floor(pos * len(vel) - np.float32(0.5)).astype(np.int32).T % len(vel)
+    given = (len(pos), len(vel), pos, aligned(i * len(vel) + j), vel, PARTICLE_DT)
+    return Prepared(bind("particles_keys", *given), some(arrays, "pos"))
+
+
 def pcg(arrays: Arrays) -> Prepared:
     given = [arrays[name] for name in ("first", "head", "weight", "diagonal", "b")]
     x, r, p, product = (aligned(np.zeros_like(arrays["b"])) for _ in range(4))
     return Prepared(bind("pcg", PCG_ITERATIONS, len(x), *given, x, r, p, product), lambda: {"x": x})
+
+
+def fluid(arrays: Arrays) -> Prepared:
+    u, v, pos = (arrays[name] for name in ("u", "v", "pos"))
+    carried, waves = [aligned(np.zeros_like(u)) for _ in "uv"], {name: arrays[name] for name in ("waves_u", "waves_v")}
+    run = bind("fluid", len(u), u, v, *carried, *waves.values(), pos, FLUID_DT, SPREAD, source="fluids.cpp")
+    return Prepared(run, lambda: fluid_outputs(*carried, waves, pos))
 
 
 def triad(arrays: Arrays) -> Prepared:
@@ -156,6 +179,9 @@ PROGRAMS: Programs = {
     "stencil": stencil,
     "heat": heat,
     "pcg": pcg,
+    "particles": particles,
+    "particles-keys": particles_keys,
+    "fluid": fluid,
     "triad": triad,
     "fma": fma,
 }

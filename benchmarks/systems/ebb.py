@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
+from pathlib import Path
 
 import ebb
-from benchmarks.constants import AXPY_FACTOR, DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
+from benchmarks.constants import AXPY_FACTOR, DT, PARTICLE_DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
 from benchmarks.data import Arrays
+from benchmarks.fluids import fluid_outputs
 from benchmarks.systems import Prepared, Programs
 
 if os.environ["BENCHMARKS_SYSTEM"] == "reference":
@@ -214,7 +217,69 @@ def pcg(arrays: Arrays) -> Prepared:
     return Prepared(run, lambda: {"x": vertices.x.to_numpy()})
 
 
+def particles(arrays: Arrays, code: str) -> Prepared:
+    """Each particle finds the dual cell that it is in; or it has a key of it, as in the figure of the paper."""
+    from ebb.domains import Grid2D, Particles
+
+    grid = Grid2D(arrays["vel"].shape[:2], extent=1.0, periodic=True)
+    grid.cells.new_field("vel", ebb.vec2f, init=arrays["vel"])
+    dust = Particles(arrays["pos"])
+    dt = PARTICLE_DT
+
+    @ebb.func
+    def carried(pos, d):
+        x, y = d.local(pos)
+        low = (1 - x) * d.cell(0, 0).vel + x * d.cell(1, 0).vel
+        high = (1 - x) * d.cell(0, 1).vel + x * d.cell(1, 1).vel
+        return grid.wrap(pos + dt * ((1 - y) * low + y * high))
+
+    @ebb.kernel
+    def advect(p: dust):
+        p.pos = carried(p.pos, grid.dual_locate(p.pos))
+
+    @ebb.kernel
+    def advect_by_keys(p: dust):
+        p.pos = carried(p.pos, p.dual_cell)
+        p.dual_cell = grid.dual_locate(p.pos)
+
+    if code == "particles-keys":
+        dust.couple(grid, cell=None)
+    kernel = advect_by_keys if code == "particles-keys" else advect
+
+    def run(steps: int) -> None:
+        for _ in range(steps):
+            kernel(dust)
+
+    return Prepared(run, lambda: {"pos": dust.pos.to_numpy()})
+
+
+def fluid(arrays: Arrays) -> Prepared:
+    """The kernels of the example, on the benchmark's numbers."""
+    sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+    from fluids_fft import Fluid
+
+    example = Fluid(len(arrays["u"]), viscosity=0.0)
+    cells, waves, dust = example.grid.cells, example.frequencies, example.particles
+    for name in ("u", "v"):
+        cells.fields[name].load(arrays[name])
+        waves.fields[name].load(arrays[f"waves_{name}"])
+    dust.pos.load(arrays["pos"])
+
+    def run(steps: int) -> None:
+        for _ in range(steps):
+            example.advect()
+            example.diffuse_and_project()
+            example.move()
+
+    def outputs() -> Arrays:
+        found = {f"waves_{name}": waves.fields[name].to_numpy() for name in ("u", "v")}
+        return fluid_outputs(cells.carried_u.to_numpy(), cells.carried_v.to_numpy(), found, dust.pos.to_numpy())
+
+    return Prepared(run, outputs)
+
+
 PROGRAMS: Programs = {
+    "fluid": fluid,
     "gather": lambda arrays: springs(arrays, "gather"),
     "scatter": lambda arrays: springs(arrays, "scatter"),
     "both-ends": lambda arrays: springs(arrays, "both-ends"),
@@ -222,5 +287,7 @@ PROGRAMS: Programs = {
     "stencil": stencil,
     "heat": heat,
     "pcg": pcg,
+    "particles": lambda arrays: particles(arrays, "particles"),
+    "particles-keys": lambda arrays: particles(arrays, "particles-keys"),
     "captured": captured,
 }

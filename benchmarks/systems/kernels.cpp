@@ -106,6 +106,41 @@ extern "C" void heat(int64_t vertices, const int32_t *first, const int32_t *head
     }
 }
 
+static inline int64_t wrapped(int64_t index, int64_t n) { return index < 0 ? index + n : index >= n ? index - n : index; }
+
+// Moves a particle that lies (x, y) above the centre of the cell (i, j) by the flow that is interpolated there.
+static inline void carry(float *pos, const float *vel, int64_t n, int64_t i, int64_t j, float x, float y, float dt) {
+    const int64_t i0 = i * n, i1 = wrapped(i + 1, n) * n, j1 = wrapped(j + 1, n);
+    for (int d = 0; d < 2; ++d) {
+        const float low = (1 - x) * vel[2 * (i0 + j) + d] + x * vel[2 * (i1 + j) + d];
+        const float high = (1 - x) * vel[2 * (i0 + j1) + d] + x * vel[2 * (i1 + j1) + d];
+        const float moved = pos[d] + dt * ((1 - y) * low + y * high);
+        pos[d] = moved - std::floor(moved);
+    }
+}
+
+extern "C" void particles(int64_t count, int64_t n, float *__restrict pos, const float *__restrict vel, float dt) {
+#pragma omp parallel for
+    for (int64_t p = 0; p < count; ++p) {
+        const float x = pos[2 * p] * float(n) - 0.5f, y = pos[2 * p + 1] * float(n) - 0.5f;
+        const float i = std::floor(x), j = std::floor(y);
+        carry(pos + 2 * p, vel, n, wrapped(int64_t(i), n), wrapped(int64_t(j), n), x - i, y - j, dt);
+    }
+}
+
+extern "C" void particles_keys(int64_t count, int64_t n, float *__restrict pos, int32_t *__restrict cell,
+                               const float *__restrict vel, float dt) {
+#pragma omp parallel for
+    for (int64_t p = 0; p < count; ++p) {
+        const int32_t i = cell[p] / int32_t(n), j = cell[p] % int32_t(n);
+        float x = pos[2 * p] * float(n) - 0.5f - i, y = pos[2 * p + 1] * float(n) - 0.5f - j;
+        x = x < 0 ? x + n : x, y = y < 0 ? y + n : y;  // before the centre of the first cell
+        carry(pos + 2 * p, vel, n, i, j, x, y, dt);
+        const float at_x = std::floor(pos[2 * p] * float(n) - 0.5f), at_y = std::floor(pos[2 * p + 1] * float(n) - 0.5f);
+        cell[p] = int32_t(wrapped(int64_t(at_x), n) * n + wrapped(int64_t(at_y), n));
+    }
+}
+
 extern "C" void pcg(int64_t iterations, int64_t n, const int32_t *first, const int32_t *head, const float *weight,
                     const float *diagonal, const float *b, float *x, float *r, float *p, float *product) {
     double rz = 0;
