@@ -13,9 +13,12 @@ from ebb.domains import Grid2D, Grid3D, PolyMesh, TetMesh, TriMesh
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
+import fem
+import fem_stvk
 import fluids_fft
 import grid_particles
 import heat
+import lulesh
 import rendermesh
 import smoothing
 import spring_mass
@@ -112,13 +115,38 @@ def smoothed(mesh: PolyMesh) -> Example:
     return step, tuple(relation for relation in (mesh.vertices, mesh.faces, mesh.cells) if relation.size)
 
 
+def hanging_body() -> Example:
+    mesh = TetMesh.box(1, 1, 1, self_edges=True, precision=ebb.float64)
+    body = fem.SoftBody(mesh, fem_stvk.LAW, [fem.Material(1000.0, 0.3, 2.0)], fixed=[0, 1, 2, 3])
+    body.set_load((0.0, 0.0, -9.81))
+
+    def step(number: int) -> object:
+        body.step(0.02, tolerance=1e-4)
+        return body.energy()
+
+    return step, (mesh.vertices, mesh.edges, mesh.tetrahedra)
+
+
+def blast(mesh: str) -> Example:
+    sedov = lulesh.Sedov(3, regions=3, mesh=mesh)
+
+    def step(number: int) -> object:
+        sedov.run(1)
+        return sedov.time, sedov.dt, *sedov.symmetry(), sedov.origin_energy()
+
+    return step, (sedov.mesh.zones, sedov.mesh.nodes)
+
+
 EXAMPLES: dict[str, Callable[[], Example]] = {
     "spring_mass": falling_body,
     "heat": heated_torus,
     "rendermesh": twisted_torus,
     "fluids_fft": stirred_fluid,
+    "lulesh unstructured": lambda: blast("unstructured"),
+    "lulesh on a grid": lambda: blast("grid"),
     "smoothing of a surface": lambda: smoothed(smoothing.landscape(4)),
     "smoothing of a solid": lambda: smoothed(PolyMesh.dual(TetMesh.box(2, 1, 1))),
+    "fem_stvk": hanging_body,
     "grid_particles in a plane": lambda: carried_particles("gyre", 4),
     "stable_fluids in a plane": lambda: flowing("dye", (4, 4), stable_fluids.Physics(tolerance=0.02)),
     "stable_fluids in space": lambda: flowing("smoke", (4, 2, 4), VISCOUS),
