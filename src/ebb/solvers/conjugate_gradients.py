@@ -6,7 +6,7 @@ from math import inf
 from typing import Any, ClassVar
 
 import ebb
-from ebb.solvers.iteration import CURVATURE, NOT_FINITE, PRECONDITIONER, RUNNING, is_finite, judge
+from ebb.solvers.iteration import CURVATURE, NOT_FINITE, PRECONDITIONER, RUNNING, begin, is_finite, judge
 from ebb.solvers.kernels import dot_of
 from ebb.solvers.krylov import KrylovSolver
 
@@ -45,7 +45,14 @@ class ConjugateGradients(KrylovSolver):
             if go.value > 0:
                 v[p] = apply(v, v[r]) + number(after.value / before.value) * v[p]
 
-        self._update, self._turn, self._judge = update, turn, self._judging_kernel(before)
+        @ebb.kernel
+        def begin_steps(s: Any) -> None:
+            begin(s)
+            if ebb.id(s) == 0:
+                before.value += after.value
+
+        self._update, self._turn, self._begin_steps = update, turn, begin_steps
+        self._judge = self._judging_kernel(before)
 
     def _judging_kernel(self, before: ebb.Global) -> ebb.Kernel:
         go, curvature, after, square = self._go, self._product, self._inner, self._square
@@ -72,9 +79,9 @@ class ConjugateGradients(KrylovSolver):
         self._before.value = inf  # so that the first direction is the residual's
         self._turn(self._system.rows)
 
-    def _set_out(self, inner: float) -> None:
-        self._before.value = inner
-        self._go.value = 1
+    def _set_out(self) -> None:
+        self._before.value = 0
+        self._begin_steps(self._progress.steps)
 
     def _step(self) -> None:
         rows = self._system.rows

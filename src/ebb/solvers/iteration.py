@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 import ebb
 from ebb.records import record
+from ebb.solvers.options import Options
 
 Callback: TypeAlias = Callable[[int, float], object]
 """Called after each iteration with the number of iterations so far and the norm of the residual; True stops."""
@@ -124,12 +125,21 @@ def judge(s: Any, square: Any, fault: Any, target: Any, limit: Any) -> Any:
     return status
 
 
+@ebb.func
+def begin(s: Any) -> None:
+    """Sets a row of ``Progress.steps`` as it is before the first iteration."""
+    s.status = RUNNING
+    s.taken = 0
+
+
 class Progress:
     """How far a solver has come.
 
     Attributes:
         steps: a relation with a row for each iteration of a run: each has the ``status`` of the solve and the count of
             iterations ``taken``, alike in all, and the ``square`` of the residual of its own iteration.
+        relative: the square of the tolerance relative to the right-hand side.
+        absolute: the square of the absolute tolerance.
         target: the square of the norm of the residual at which to stop.
         limit: the most iterations.
     """
@@ -139,23 +149,26 @@ class Progress:
         self.steps.new_field("status", ebb.int32)
         self.steps.new_field("taken", ebb.int32)
         self.steps.new_field("square", ebb.float64)
-        self.target = ebb.Global(ebb.float64, 0.0)
+        self.relative, self.absolute, self.target = (ebb.Global(ebb.float64, 0.0) for _ in range(3))
         self.limit = ebb.Global(ebb.int32, 0)
+        self._asked: Options | None = None
         self._expected = _FIRST_STEPS
 
-    def run(self, step: Any, square: float, target: float, limit: int, callback: Callback | None) -> Result:
+    def ask(self, options: Options) -> None:
+        """Says when the next solve is to stop."""
+        if options != self._asked:
+            self.relative.value, self.absolute.value = options.tolerance**2, options.absolute**2
+            self.limit.value = options.most_iterations
+            self._asked = options
+
+    def run(self, step: Any, square: float, callback: Callback | None) -> Result:
         """Runs the captured ``step`` until the solve ends.
 
         Args:
             step: which ends with a kernel on ``steps`` that calls ``judge``.
             square: of the norm of the residual at the start.
-            target: the square at which to stop.
-            limit: the most iterations.
             callback: called after each iteration.
         """
-        self.target.value, self.limit.value = target, limit
-        self.steps.status.fill(RUNNING)
-        self.steps.taken.fill(0)
         squares: list[float] = [square]
         count = self._expected if callback is None else 1
         reason = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite, sqrt
+from math import isfinite
 from typing import Any, ClassVar
 
 import numpy as np
@@ -64,7 +64,8 @@ class KrylovSolver:
         self._r, self._p, self._q, self._saved = (self._work(name) for name in ("r", "p", "q", "start"))
         self._preconditioning = preconditioning(system, preconditioner, self.prefix, self._r, self._faults)
         self._multiply = product_of(system, self._p, self._q, self._go, self._product)
-        self._begin, self._find_residual, self._clear, self._measure = self._kernels_of_start()
+        self._begin, self._find_residual, self._clear = self._kernels_of_start()
+        self._measure, self._aim = self._measuring_kernel(), self._aiming_kernel()
         self._make_kernels()
         self._captured: tuple[Any, Any] | None = None
 
@@ -94,27 +95,25 @@ class KrylovSolver:
         if self._captured is None or self._system.product is not None or self._preconditioning.compute is not None:
             self._captured = self._capture()
         start, step = self._captured
+        self._progress.ask(options)
         start.run()
-        square, norm, inner = self._square.value, sqrt(self._norm.value), self._inner.value
-        target = options.target(norm) if isfinite(norm) else 0.0
-        early = self._over_at_start(square, target, inner, options)
-        if norm == 0 and early is not Reason.CONVERGED:
+        early, square = self._over_at_start(options), self._square.value
+        if self._norm.value == 0 and early is not Reason.CONVERGED:
             self._clear(self._system.rows)
-            square, early = 0.0, Reason.CONVERGED
+            early, square = Reason.CONVERGED, 0.0
         if early is not None:
             return Result(0, np.sqrt(np.array([square])), early)
-        self._set_out(inner)
-        result = self._progress.run(step, square, target, options.most_iterations, callback)
+        result = self._progress.run(step, square, callback)
         if result.reason is Reason.NOT_FINITE:
             self._system.rows.copy(self._saved, self._system.x)
         return result
 
-    def _over_at_start(self, square: float, target: float, inner: float, options: Options) -> Reason | None:
-        if not isfinite(square):
+    def _over_at_start(self, options: Options) -> Reason | None:
+        if not isfinite(self._square.value):
             return Reason.NOT_FINITE
-        if square <= target:
+        if self._square.value <= self._progress.target.value:
             return Reason.CONVERGED
-        if self._faults.value or not inner > 0:
+        if self._faults.value or not self._inner.value > 0:
             return Reason.PRECONDITIONER
         return None if options.most_iterations else Reason.LIMIT
 
@@ -131,8 +130,8 @@ class KrylovSolver:
         """Launches what makes the vectors of the first step of the residual and what the preconditioner makes of it."""
         raise NotImplementedError
 
-    def _set_out(self, inner: float) -> None:
-        """Sets the scalars of the first step, by the product of the residual and what the preconditioner made of it."""
+    def _set_out(self) -> None:
+        """Launches a kernel on the rows of ``steps`` that calls ``begin``, and sets the scalars of the first step."""
         raise NotImplementedError
 
     def _step(self) -> None:
@@ -153,6 +152,9 @@ class KrylovSolver:
             self._find_residual(system.rows)
             self._precondition()
             self._first_vectors()
+            self._progress.target.value = 0
+            self._aim(self._progress.steps)
+            self._set_out()
         with ebb.capture() as step:
             _clear(self._product, self._square, self._inner)
             self._step()
@@ -165,7 +167,7 @@ class KrylovSolver:
             self._inner.value = 0
             self._measure(self._system.rows)
 
-    def _kernels_of_start(self) -> tuple[ebb.Kernel, ebb.Kernel, ebb.Kernel, ebb.Kernel]:
+    def _kernels_of_start(self) -> tuple[ebb.Kernel, ebb.Kernel, ebb.Kernel]:
         x, b, r, p, q, saved = self._system.x.name, self._system.b.name, self._r, self._p, self._q, self._saved
         unknown, dot, is_free = self._system.x.type, dot_of(self._system), freedom_of(self._system)
         apply = self._preconditioning.apply
@@ -191,11 +193,27 @@ class KrylovSolver:
             if is_free(v):
                 v[x] = ebb.zeros(unknown)
 
+        return begin, find_residual, clear
+
+    def _measuring_kernel(self) -> ebb.Kernel:
+        r, inner, dot, apply = self._r, self._inner, dot_of(self._system), self._preconditioning.apply
+
         @ebb.kernel
         def measure(v: Any) -> None:
             inner.value += dot(v[r], apply(v, v[r]))
 
-        return begin, find_residual, clear, measure
+        return measure
+
+    def _aiming_kernel(self) -> ebb.Kernel:
+        norm, progress = self._norm, self._progress
+        relative, absolute, target = progress.relative, progress.absolute, progress.target
+
+        @ebb.kernel
+        def aim(s: Any) -> None:
+            if ebb.id(s) == 0:
+                target.value += max(relative.value * norm.value, absolute.value)
+
+        return aim
 
 
 def _clear(*sums: ebb.Global) -> None:

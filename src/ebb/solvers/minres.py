@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Any, ClassVar
 
-import numpy as np
-
 import ebb
-from ebb.solvers.iteration import BREAKDOWN, NOT_FINITE, PRECONDITIONER, RUNNING, is_finite, judge
+from ebb.solvers.iteration import BREAKDOWN, NOT_FINITE, PRECONDITIONER, RUNNING, begin, is_finite, judge
 from ebb.solvers.kernels import dot_of
 from ebb.solvers.krylov import KrylovSolver
 
@@ -41,6 +38,21 @@ class MINRES(KrylovSolver):
         self._start, self._lengthen = self._vector_kernels()
         self._move = self._moving_kernel()
         self._rotate, self._judge = self._rotating_kernel(), self._judging_kernel()
+        self._begin_steps = self._beginning_kernel()
+
+    def _beginning_kernel(self) -> ebb.Kernel:
+        inner, scalars = self._inner, self._scalars
+
+        @ebb.kernel
+        def begin_steps(s: Any) -> None:
+            begin(s)
+            gamma = ebb.sqrt(inner.value)
+            s.gamma, s.gamma_before, s.eta = gamma, 1.0, gamma
+            s.c, s.c_before, s.s, s.s_before = 1.0, 1.0, 0.0, 0.0
+            if ebb.id(s) == 0:
+                scalars.value[_GAMMA] += gamma
+
+        return begin_steps
 
     def _vector_kernels(self) -> tuple[ebb.Kernel, ebb.Kernel]:
         r, p, q, before, w, w_before = self._r, self._p, self._q, self._before, self._w, self._w_before
@@ -139,15 +151,9 @@ class MINRES(KrylovSolver):
     def _first_vectors(self) -> None:
         self._start(self._system.rows)
 
-    def _set_out(self, inner: float) -> None:
-        steps, gamma = self._progress.steps, sqrt(inner)
-        first = {"gamma": gamma, "gamma_before": 1, "c": 1, "c_before": 1, "s": 0, "s_before": 0, "eta": gamma}
-        for name, value in first.items():
-            steps.fields[name].fill(float(value))
-        scalars = np.zeros(8)
-        scalars[_GAMMA] = gamma
-        self._scalars.value = scalars
-        self._go.value = 1
+    def _set_out(self) -> None:
+        self._scalars.value = 0
+        self._begin_steps(self._progress.steps)
 
     def _step(self) -> None:
         rows, steps = self._system.rows, self._progress.steps

@@ -27,10 +27,6 @@ class Options:
     absolute: float
     most_iterations: int
 
-    def target(self, norm: float) -> float:
-        """The square of the norm of the residual at which to stop, by the norm of the right-hand side."""
-        return max(self.tolerance * norm, self.absolute) ** 2
-
 
 def checked_options(system: LinearSystem, tolerance: Any, absolute: Any, most_iterations: Any) -> Options:
     """What is asked for; by default ten times as many iterations as there are unknowns.
