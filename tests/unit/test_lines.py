@@ -138,6 +138,53 @@ def test_rows_that_are_no_grid(stores, size):
     assert streams(measure, rows) == (stores == "streamed")
 
 
+@pytest.mark.parametrize("edge", ["wrap", "clamp"])
+@pytest.mark.parametrize("type_", [ebb.float32, ebb.float64])
+def test_what_neighbors_have_in_common(stores, type_, edge):
+    """Sums that rows along a line share, taken from registers of other rows."""
+    shape = (4, 6, 300)
+    cells = ebb.Relation("cells", shape=shape, periodic=(edge == "wrap",) * 3)
+    x = np.random.default_rng(5).integers(-99, 99, shape).astype(type_.dtype)
+    cells.new_field("x", type_, init=x)
+    for name in "yz":
+        cells.new_field(name, type_, init=-1.0)
+
+    if edge == "wrap":
+
+        @cells.member("__call__")
+        def moved(c, i, j, k):
+            return ebb.affine(cells, [[1, 0, 0, i], [0, 1, 0, j], [0, 0, 1, k]], c)
+
+    else:
+
+        @cells.member("__call__")
+        def held(c, i, j, k):
+            return ebb.affine(cells, [[1, 0, 0, i], [0, 1, 0, j], [0, 0, 1, k]], c, edge="clamp")
+
+    @cells.member("sides")
+    def sides(c, k):
+        return c(-1, 0, k).x + 2.0 * c(1, 0, k).x - c(0, 1, k).x
+
+    @ebb.kernel
+    def share(c: cells):
+        c.y = c.sides(-1) - 3.0 * c.sides(1) + c.sides(0) + 5.0 * c.x
+        c.z = abs(c(0, -1, 1).x) - c.sides(2) + c(0, 0, -2).x - c(0, 0, -40).x
+
+    share(cells)
+    padded = np.pad(x, 40, mode="wrap" if edge == "wrap" else "edge")
+
+    def at(i, j, k):
+        return padded[tuple(slice(40 + step, 40 + step + n) for step, n in zip((i, j, k), shape, strict=True))]
+
+    def sides_at(k):
+        return at(-1, 0, k) + 2 * at(1, 0, k) - at(0, 1, k)
+
+    np.testing.assert_array_equal(cells.y.to_numpy(), sides_at(-1) - 3 * sides_at(1) + sides_at(0) + 5 * x)
+    expected = np.abs(at(0, -1, 1)) - sides_at(2) + at(0, 0, -2) - at(0, 0, -40)
+    np.testing.assert_array_equal(cells.z.to_numpy(), expected)
+    assert streams(share, cells) == (stores == "streamed")
+
+
 def test_what_is_looked_at_is_kept(stores):
     rows = ebb.Relation("rows", size=100)
     for name in "xyz":

@@ -21,8 +21,8 @@ Array: TypeAlias = "npt.NDArray[Any]"
 ALIGNMENT = 64
 """Bytes: a cache line, and the widest vector register of the machines that LLVM emits for here."""
 
-_ROWS_AROUND = 16
-"""How many rows beyond the first and the last may be read: kernels compute those of a whole register at once."""
+_ROWS_AROUND = 48
+"""How many rows beyond the first and the last may be read: kernels load whole registers, and those next to them."""
 
 
 class Layout(Enum):

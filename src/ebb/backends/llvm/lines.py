@@ -11,13 +11,12 @@ processors foresee that within a line of a grid, but not from line to line. Meas
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 from ebb.backends.llvm import ops
+from ebb.backends.llvm.registers import emit_registers, plan_registers
 from ebb.backends.llvm.strides import is_even
-from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
+from ebb.backends.llvm.turns import Emitter, value_at
 from ebb.compiler import lir
-from ebb.compiler.lir_walk import operands
 
 STRETCH = 256
 """The rows that are computed before they are stored: few enough for the nearest cache, enough for long bursts."""
@@ -84,49 +83,11 @@ done:
 """Moves words to where they lie as in ``from``, with respect to lines of the cache."""
 
 
-class Emitter(Protocol):
-    """What emits the function around the rows.
-
-    Attributes:
-        buffers: where elements of slots are stored for now, by number, and the index of the first of them.
-    """
-
-    module: ModuleWriter
-    w: FunctionWriter
-    temps: dict[int, str]
-    buffers: dict[int, tuple[str, str]]
-    access_group: str | None
-
-    def value(self, value: lir.Value) -> str:
-        """The name or literal of a scalar."""
-        ...
-
-    def statement(self, stmt: lir.Stmt) -> None:
-        """Emits a statement."""
-        ...
-
-    def body(self, body: lir.Body) -> None:
-        """Emits the statements of a body."""
-        ...
-
-    def bounds(self, d: int) -> tuple[str, str]:
-        """The first index of a dimension of the block, and the one behind the last."""
-        ...
-
-    def loop_notes(self, *notes: str) -> str:
-        """What says so of a loop, at its end."""
-        ...
-
-    def count(self, counter: lir.Temp, start: str, stop: str, body: lir.Body, metadata: str = "") -> None:
-        """Emits a loop whose turns are counted."""
-        ...
-
-
 def streams(loop: lir.RowLoop) -> bool:
     """Whether the rows of ``loop`` are computed stretch by stretch: straight-line code, all of it row by row."""
     if loop.streaming is None:
         return False
-    body = loop.body if loop.inside is None else loop.inside.body
+    body = _body(loop)
     plain = all(isinstance(stmt, lir.Let | lir.Store | lir.Declare | lir.StoreVar | lir.Accumulate) for stmt in body)
     places = (*loop.streaming.written, *loop.streaming.ahead)
     sizes = {place.slot.number: place.size for place in places}
@@ -170,10 +131,10 @@ def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     """The rows of ``loop`` along a line, stretch by stretch."""
     streaming = loop.streaming
     assert streaming is not None
-    w = e.w
+    w, index = e.w, loop.index[-1]
     low, high = e.bounds(len(loop.index) - 1)
     buffers = _buffers(e, streaming)
-    offset = w.emit(f"sub i64 {_at(e, loop, streaming.written[0].row, low)}, {low}")
+    offset = w.emit(f"sub i64 {value_at(e, _body(loop), index, streaming.written[0].row, low)}, {low}")
     head, turn, done = (w.fresh(stem) for stem in ("head", "stretch", "done"))
     before, following, latch = w.label, f"%{w.fresh('next')}", w.fresh("latch")
     w.branch(head)
@@ -185,8 +146,9 @@ def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     stop = _least(e, w.emit(f"add nsw i64 {aligned}, {STRETCH}"), high)
     for ahead in streaming.ahead:
         _fetch(e, loop, ahead, start, stop)
-    _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
-    _store(e, streaming, buffers, (start, stop), aligned, offset)
+    whole = _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
+    _store(e, streaming, buffers, (start, whole[0]), aligned, offset)
+    _store(e, streaming, buffers, (whole[1], stop), aligned, offset)
     w.branch(latch)
     w.start(latch)
     w.do(f"{following} = add nsw i64 {stop}, 0")
@@ -195,6 +157,11 @@ def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
 
 
 # ---- Parts of a line ----
+
+
+def _body(loop: lir.RowLoop) -> lir.Body:
+    """What most rows run."""
+    return loop.body if loop.inside is None else loop.inside.body
 
 
 def _inner(e: Emitter, loop: lir.RowLoop, low: str, high: str) -> tuple[str, str]:
@@ -210,29 +177,49 @@ def _inner(e: Emitter, loop: lir.RowLoop, low: str, high: str) -> tuple[str, str
 def _compute(
     e: Emitter, loop: lir.RowLoop, buffers: Sequence[str], rows: tuple[str, str], aligned: str, offset: str,
     metadata: str,
-) -> None:  # fmt: skip
+) -> tuple[str, str]:  # fmt: skip
     """The rows of a stretch, into the buffers: those inside by whole registers, then those near the ends of the line.
 
-    Where nothing else is written, the registers begin where lines of the cache do, and hold what will not be stored of
-    rows before and behind. Such rows may not exist; memory that may be read does.
+    Where nothing else is written, registers begin where lines of the cache do, and hold what will not be stored of rows
+    before and behind. Such rows may not exist; memory that may be read does.
+
+    Returns:
+        Between which rows all has been stored already, past the cache.
     """
     streaming, w, index = loop.streaming, e.w, loop.index[-1]
     assert streaming is not None
     for place, buffer in zip(streaming.written, buffers, strict=True):
-        begin = w.emit(f"add i64 {aligned}, {offset}")
+        begin = w.emit(f"add i64 {w.emit(f'add i64 {aligned}, {offset}')}, {-TOGETHER}")
         e.buffers[place.slot.number] = buffer, w.emit(f"mul i64 {begin}, {place.size}")
     first, last = _inner(e, loop, *rows)
-    body = loop.body if loop.inside is None else loop.inside.body
+    body = _body(loop)
     begin, end = first, last
+    whole = rows[1], rows[1]
+    plan = None
     if _only_streams(body, streaming):
         begin = _aligned(e, first, offset)
         taken = w.emit(f"add i64 {w.emit(f'sub i64 {last}, {begin}')}, {TOGETHER - 1}")
-        turns = _choose(e, w.emit(f"icmp slt i64 {first}, {last}"), w.emit(f"and i64 {taken}, {-TOGETHER}"), "0")
-        end = w.emit(f"add i64 {begin}, {turns}")
-    e.count(index, begin, end, body, metadata)
+        count = _choose(e, w.emit(f"icmp slt i64 {first}, {last}"), w.emit(f"and i64 {taken}, {-TOGETHER}"), "0")
+        end = w.emit(f"add i64 {begin}, {count}")
+        plan = plan_registers(body, index)
+    if plan is None:
+        e.count(index, begin, end, body, metadata)
+    else:
+        whole = _whole(e, first, last, begin, rows[1], offset)
+        emit_registers(e, plan, index, begin, end, whole, e.loop_notes(*_FEW_TURNS))
     if loop.inside is not None:
         _near_ends(e, loop, rows, first, last)
     e.buffers.clear()
+    return whole
+
+
+def _whole(e: Emitter, first: str, last: str, begin: str, stop: str, offset: str) -> tuple[str, str]:
+    """The rows of those from ``first`` to ``last`` that are whole lines of the cache; ``stop`` twice if none are."""
+    after = e.w.emit(f"add i64 {begin}, {TOGETHER}")
+    low = _choose(e, e.w.emit(f"icmp eq i64 {begin}, {first}"), begin, after)
+    high = _aligned(e, last, offset)
+    some = e.w.emit(f"icmp slt i64 {low}, {high}")
+    return _choose(e, some, low, stop), _choose(e, some, high, stop)
 
 
 def _near_ends(e: Emitter, loop: lir.RowLoop, rows: tuple[str, str], first: str, last: str) -> None:
@@ -278,7 +265,7 @@ def _only_streams(body: lir.Body, streaming: lir.Streaming) -> bool:
 
 def _buffers(e: Emitter, streaming: lir.Streaming) -> list[str]:
     """Memory on the stack for a stretch of each slot, with room for whole registers."""
-    rows = STRETCH + 2 * TOGETHER
+    rows = STRETCH + 3 * TOGETHER
     return [
         e.w.allocate(f"[{rows * place.size} x {ops.memory_type(place.slot.type)}], align {_LINE_BYTES}")
         for place in streaming.written
@@ -293,7 +280,8 @@ def _store(
     w.declare("i64 @llvm.umin.i64(i64, i64)")
     if STREAM_FUNCTION not in e.module.definitions:
         w.define(STREAM_FUNCTION, _STREAM.replace("!NOTE", e.module.note("!{{i32 1}}")))
-    skipped, count = w.emit(f"sub i64 {start}, {aligned}"), w.emit(f"sub i64 {stop}, {start}")
+    skipped = w.emit(f"sub i64 {start}, {w.emit(f'add i64 {aligned}, {-TOGETHER}')}")
+    count = w.emit(f"sub i64 {stop}, {start}")
     first = w.emit(f"add i64 {start}, {offset}")
     for place, buffer in zip(streaming.written, buffers, strict=True):
         size = place.size * place.slot.type.bits // 8
@@ -308,7 +296,7 @@ def _fetch(e: Emitter, loop: lir.RowLoop, ahead: lir.RowPlace, start: str, stop:
     w = e.w
     w.declare("void @llvm.prefetch.p0(ptr, i32, i32, i32)")
     element = ahead.size * ahead.slot.type.bits // 8
-    first = w.emit(f"mul i64 {_at(e, loop, ahead.row, start)}, {element}")
+    first = w.emit(f"mul i64 {value_at(e, _body(loop), loop.index[-1], ahead.row, start)}, {element}")
     place = w.emit(f"getelementptr i8, ptr %slot{ahead.slot.number}, i64 {first}")
     place = w.emit(f"getelementptr i8, ptr {place}, i64 {_FETCHED_AHEAD}")
     length = w.emit(f"mul i64 {w.emit(f'sub i64 {stop}, {start}')}, {element}")
@@ -327,23 +315,6 @@ def _fetch(e: Emitter, loop: lir.RowLoop, ahead: lir.RowPlace, start: str, stop:
 
 
 # ---- Numbers ----
-
-
-def _at(e: Emitter, loop: lir.RowLoop, value: lir.Value, index: str) -> str:
-    """What ``value`` is in the row at ``index`` of the line. It depends on no memory."""
-    body = loop.body if loop.inside is None else loop.inside.body
-    defined = {stmt.temp.number: stmt for stmt in body if isinstance(stmt, lir.Let)}
-    e.temps[loop.index[-1].number] = index
-    wanted, open_ = set[int](), [value]
-    while open_:
-        found = open_.pop()
-        if isinstance(found, lir.Temp) and found.number in defined and found.number not in wanted:
-            wanted.add(found.number)
-            open_ += operands(defined[found.number].operation)
-    for number, stmt in defined.items():
-        if number in wanted:
-            e.statement(stmt)
-    return e.value(value)
 
 
 def _aligned(e: Emitter, row: str, offset: str) -> str:

@@ -1,0 +1,278 @@
+"""Rows of straight-line arithmetic on floats, a register of them at a time: stencils as one writes them by hand.
+
+What rows read of the same line of a grid, or compute of it, is read and computed once, in registers that begin where
+lines of the cache do; for neighbours along the line registers are shifted into one another. A 27-point stencil, written
+by the sums of its faces and corners, loads 9 registers instead of 27, and none of them from two lines of the cache.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+
+from ebb.backends.llvm import ops
+from ebb.backends.llvm.shifts import Key, Known, Names
+from ebb.backends.llvm.turns import Emitter
+from ebb.compiler import lir
+from ebb.compiler.lir_walk import operands
+from ebb.records import record
+from ebb.types.types import Kind, ScalarType
+
+REGISTER_BYTES = 64
+_BINARY = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
+_MATH = {"sqrt": "llvm.sqrt", "abs": "llvm.fabs"}
+
+
+@record
+class Registers:
+    """How the rows of a straight-line body are computed in registers.
+
+    Attributes:
+        body: the statements.
+        names: what each temporary of it is.
+        scalar: the type of all that differs from row to row.
+        made: how what is named so is computed, and for which shift.
+        kept: what rows need of several rows, by the least and the greatest shift.
+    """
+
+    body: lir.Body
+    names: Names
+    scalar: ScalarType
+    made: dict[Key, tuple[lir.Let, int]]
+    kept: dict[Key, tuple[int, int]]
+
+    @property
+    def lanes(self) -> int:
+        """The rows of a register."""
+        return REGISTER_BYTES * 8 // self.scalar.bits
+
+
+def plan_registers(body: lir.Body, counter: lir.Temp) -> Registers | None:
+    """How rows that run ``body`` are computed in registers, or None where that is left to LLVM.
+
+    Each access of ``body`` goes on by one element from row to row, or stays where it is.
+    """
+    names = Names(counter)
+    made: dict[Key, tuple[lir.Let, int]] = {}
+    stored: list[lir.Store] = []
+    for stmt in body:
+        match stmt:
+            case lir.Let():
+                known = names.name(stmt)
+                if known.shift is not None:
+                    made.setdefault(known.key, (stmt, known.shift))
+            case lir.Store():
+                stored.append(stmt)
+            case _:
+                return None
+    scalars = {stmt.slot.type for stmt in stored}
+    if len(scalars) != 1:
+        return None
+    scalar = scalars.pop()
+    requests = _requests(names, made, [names.of(stmt.value) for stmt in stored], REGISTER_BYTES * 8 // scalar.bits)
+    if scalar.kind is not Kind.FLOAT or not all(_fits(made[key][0], scalar, names) for key in requests):
+        return None
+    kept = {key: (min(shifts), max(shifts)) for key, shifts in requests.items() if len(shifts) > 1}
+    return Registers(body, names, scalar, made, kept)
+
+
+def _requests(
+    names: Names, made: dict[Key, tuple[lir.Let, int]], results: list[Known], lanes: int
+) -> dict[Key, set[int]]:
+    """By which shifts each of what ``made`` says is needed, of all that ``results`` depend on.
+
+    Where it is by several, but by less than a register, it is computed for whole registers alone.
+    """
+    requests = defaultdict[Key, set[int]](set)
+    for known in results:
+        if known.shift is not None:
+            requests[known.key].add(known.shift)
+    for key in reversed(made):
+        if key not in requests:
+            continue
+        shifts = requests[key]
+        if len(shifts) > 1 and max(map(abs, shifts)) < lanes:
+            shifts = {lanes if max(shifts) > 0 else 0}
+        elif len(shifts) > 1:
+            requests[key] = {0}  # too far apart: computed for each
+        let, made_for = made[key]
+        if isinstance(let.operation, lir.Load):
+            continue
+        for value in operands(let.operation):
+            known = names.of(value)
+            if known.shift is not None:
+                requests[known.key] |= {shift + known.shift - made_for for shift in shifts}
+    return requests
+
+
+def _fits(let: lir.Let, scalar: ScalarType, names: Names) -> bool:
+    """Whether what differs from row to row is a number of the one type, by a regular operation."""
+    match let.operation:
+        case lir.Load(slot) if slot.access is lir.Access.READ:
+            return let.temp.type == scalar
+        case lir.Binary(op):
+            return let.temp.type == scalar and op in _BINARY
+        case lir.Unary("-"):
+            return let.temp.type == scalar
+        case lir.Math(function):
+            return let.temp.type == scalar and function in _MATH
+        case _:
+            return False
+
+
+def emit_registers(
+    e: Emitter, plan: Registers, counter: lir.Temp, start: str, stop: str, whole: tuple[str, str], metadata: str
+) -> None:
+    """The rows from ``start``, where a line of the cache begins, in whole registers up to ``stop`` or beyond.
+
+    Registers from the first of ``whole`` on, and behind the last, are stored past the cache; others into buffers.
+    """
+    _Registers(e, plan, counter).loop(start, stop, whole, metadata)
+
+
+class _Registers:
+    def __init__(self, e: Emitter, plan: Registers, counter: lir.Temp) -> None:
+        self.e, self.w, self.plan, self.counter = e, e.w, plan, counter
+        self.type = f"<{plan.lanes} x {ops.llvm_type(plan.scalar)}>"
+        self.kept: dict[Key, dict[int, str]] = {}
+        self.computed: dict[tuple[Key, int], str] = {}
+        self.invariant: dict[Key, str] = {}
+
+    def loop(self, start: str, stop: str, whole: tuple[str, str], metadata: str) -> None:
+        w, plan = self.w, self.plan
+        self.begin(start)
+        initial = {key: {at: self.compute(key, at) for at in self.carried(key)} for key in plan.kept}
+        head, turn, latch, done = (w.fresh(stem) for stem in ("head", "turn", "latch", "done"))
+        before, following = w.label, f"%{w.fresh('next')}"
+        latest = {key: {at: f"%{w.fresh('kept')}" for at in values} for key, values in initial.items()}
+        w.branch(head)
+        w.start(head)
+        row = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{latch} ]")
+        phis = {
+            key: {
+                at: w.emit(f"phi {self.type} [ {value}, %{before} ], [ {latest[key][at]}, %{latch} ]")
+                for at, value in values.items()
+            }
+            for key, values in initial.items()
+        }
+        w.branch_if(w.emit(f"icmp slt i64 {row}, {stop}"), turn, done)
+        w.start(turn)
+        self.begin(row)
+        self.kept = phis
+        self.take_over()
+        self.store(row, whole)
+        w.branch(latch)
+        w.start(latch)
+        for key, values in latest.items():
+            for at, name in values.items():
+                w.do(f"{name} = bitcast {self.type} {self.kept[key][at + plan.lanes]} to {self.type}")
+        w.do(f"{following} = add nsw i64 {row}, {plan.lanes}")
+        w.do(f"br label %{head}{metadata}")
+        w.start(done)
+
+    def carried(self, key: Key) -> list[int]:
+        """Which registers of what is kept are those of the turn before: by the shift of their first row."""
+        low, high = self.plan.kept[key]
+        lanes = self.plan.lanes
+        return [at for at in (-lanes, 0) if (at < 0 and low < 0) or (at == 0 and high > 0)]
+
+    def take_over(self) -> None:
+        """Computes the next register of all that is kept."""
+        lanes = self.plan.lanes
+        for key in self.plan.made:
+            if key in self.plan.kept:
+                last = lanes if self.plan.kept[key][1] > 0 else 0
+                self.kept[key][last] = self.compute(key, last)
+                self.kept[key].setdefault(0, self.kept[key][last])
+
+    def begin(self, row: str) -> None:
+        """Emits what is the same in all rows, and addresses, for the register that begins at ``row``."""
+        self.e.temps[self.counter.number] = row
+        self.kept, self.computed, self.invariant = {}, {}, {}
+        for stmt in self.plan.body:
+            if isinstance(stmt, lir.Let):
+                number = stmt.temp.number
+                if self.plan.names.known[number].shift is None or number in self.plan.names.linear:
+                    self.e.statement(stmt)
+
+    def store(self, row: str, whole: tuple[str, str]) -> None:
+        """Stores a register of each result."""
+        w, e = self.w, self.e
+        stores = [stmt for stmt in self.plan.body if isinstance(stmt, lir.Store)]
+        values = [self.value(stmt.value, 0, 0) for stmt in stores]
+        from_, to = (w.emit(f"icmp {how} i64 {row}, {at}") for how, at in zip(("sge", "slt"), whole, strict=True))
+        past, part, end = (w.fresh(stem) for stem in ("past", "part", "end"))
+        w.branch_if(w.emit(f"and i1 {from_}, {to}"), past, part)
+        buffers: dict[int, tuple[str, str]] = dict(e.buffers)
+        for label, held in ((past, dict[int, tuple[str, str]]()), (part, buffers)):
+            e.buffers.clear()
+            e.buffers.update(held)
+            w.start(label)
+            note = f", !nontemporal {e.module.note('!{{i32 1}}')}" if label == past else ""
+            for stmt, value in zip(stores, values, strict=True):
+                place = e.element(stmt.slot, e.value(stmt.index))
+                aligned = REGISTER_BYTES if label == past else plan_align(self.plan)
+                w.do(f"store {self.type} {value}, ptr {place}, align {aligned}{note}")
+            w.branch(end)
+        w.start(end)
+
+    # ---- Values ----
+
+    def value(self, value: lir.Value, shift: int, made_for: int) -> str:
+        """A register of ``value``, which something names that is made for ``made_for`` and wanted for ``shift``."""
+        known = self.plan.names.of(value)
+        if known.shift is not None:
+            return self.at(known.key, known.shift + shift - made_for)
+        if known.key not in self.invariant:
+            self.invariant[known.key] = self.broadcast(self.e.value(value))
+        return self.invariant[known.key]
+
+    def at(self, key: Key, shift: int) -> str:
+        """A register of what is named ``key``, of rows ``shift`` later."""
+        held, lanes = self.kept.get(key, {}), self.plan.lanes
+        if shift in held:
+            return held[shift]
+        first = shift // lanes * lanes
+        if (key, shift) not in self.computed and first in held and first + lanes in held:
+            order = ", ".join(f"i32 {shift - first + k}" for k in range(lanes))
+            both = f"{self.type} {held[first]}, {self.type} {held[first + lanes]}"
+            self.computed[key, shift] = self.w.emit(f"shufflevector {both}, <{lanes} x i32> <{order}>")
+        return self.compute(key, shift)
+
+    def compute(self, key: Key, shift: int) -> str:
+        """As ``at``, whatever is kept."""
+        if (key, shift) not in self.computed:
+            let, made_for = self.plan.made[key]
+            self.computed[key, shift] = self.made(let, shift, made_for)
+        return self.computed[key, shift]
+
+    def made(self, let: lir.Let, shift: int, made_for: int) -> str:
+        part: Callable[[lir.Value], str] = lambda value: self.value(value, shift, made_for)  # noqa: E731
+        flags, t = self.e.flags, self.type
+        match let.operation:
+            case lir.Load(slot, index):
+                return self.load(slot, self.e.value(index), shift - made_for)
+            case lir.Unary(_, operand):
+                return self.w.emit(f"fneg{flags} {t} {part(operand)}")
+            case lir.Binary(op, left, right):
+                return self.w.emit(f"{_BINARY[op]}{flags} {t} {part(left)}, {part(right)}")
+            case lir.Math(function, values):
+                name = f"{_MATH[function]}.v{self.plan.lanes}f{self.plan.scalar.bits}"
+                self.w.declare(f"{t} @{name}({t})")
+                return self.w.emit(f"call{flags} {t} @{name}({t} {part(values[0])})")
+            case _:
+                raise AssertionError("not planned")
+
+    def load(self, slot: lir.Slot, index: str, later: int) -> str:
+        place = self.e.element(slot, self.w.emit(f"add i64 {index}, {later}"))
+        return self.w.emit(f"load {self.type}, ptr {place}, align {plan_align(self.plan)}")
+
+    def broadcast(self, scalar: str) -> str:
+        element, lanes = ops.llvm_type(self.plan.scalar), self.plan.lanes
+        one = self.w.emit(f"insertelement {self.type} poison, {element} {scalar}, i64 0")
+        return self.w.emit(f"shufflevector {self.type} {one}, {self.type} poison, <{lanes} x i32> zeroinitializer")
+
+
+def plan_align(plan: Registers) -> int:
+    """The alignment of elements."""
+    return plan.scalar.bits // 8

@@ -1,0 +1,70 @@
+"""What emits the function around loops over rows, and values of a turn outside of its loop."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
+from ebb.compiler import lir
+from ebb.compiler.lir_walk import operands
+
+
+class Emitter(Protocol):
+    """What emits the function around the rows.
+
+    Attributes:
+        buffers: where elements of slots are stored for now, by number, and the index of the first of them.
+    """
+
+    module: ModuleWriter
+    w: FunctionWriter
+    temps: dict[int, str]
+    buffers: dict[int, tuple[str, str]]
+    access_group: str | None
+    flags: str
+
+    def element(self, slot: lir.Slot, index: str) -> str:
+        """The address of an element of a slot, or of where it is stored for now."""
+        ...
+
+    def value(self, value: lir.Value) -> str:
+        """The name or literal of a scalar."""
+        ...
+
+    def statement(self, stmt: lir.Stmt) -> None:
+        """Emits a statement."""
+        ...
+
+    def body(self, body: lir.Body) -> None:
+        """Emits the statements of a body."""
+        ...
+
+    def bounds(self, d: int) -> tuple[str, str]:
+        """The first index of a dimension of the block, and the one behind the last."""
+        ...
+
+    def loop_notes(self, *notes: str) -> str:
+        """What says so of a loop, at its end."""
+        ...
+
+    def count(self, counter: lir.Temp, start: str, stop: str, body: lir.Body, metadata: str = "") -> None:
+        """Emits a loop whose turns are counted."""
+        ...
+
+
+def value_at(e: Emitter, body: lir.Body, counter: lir.Temp, value: lir.Value, turn: str) -> str:
+    """What ``value`` of the straight-line ``body`` of a loop is in the turn whose number is ``turn``."""
+    defined = {stmt.temp.number: stmt for stmt in body if isinstance(stmt, lir.Let)}
+    e.temps[counter.number] = turn
+    wanted, open_ = set[int](), [value]
+    while open_:
+        found = open_.pop()
+        if isinstance(found, lir.Temp) and found.number in defined and found.number not in wanted:
+            wanted.add(found.number)
+            open_ += operands(defined[found.number].operation)
+    group, e.access_group = e.access_group, None
+    for number, stmt in defined.items():
+        if number in wanted:
+            e.statement(stmt)
+    e.access_group = group
+    return e.value(value)
