@@ -23,7 +23,7 @@ _FUSED = " contract"
 _REGROUPED = " reassoc nsz contract"
 """The flags of sums whose order means nothing, where several turns of a loop or rows are computed at once."""
 
-_AS_IT_IS = ('!"llvm.loop.isvectorized", i32 1', '!"llvm.loop.unroll.disable"')
+AS_IT_IS = ('!"llvm.loop.isvectorized", i32 1', '!"llvm.loop.unroll.disable"')
 """What tells LLVM to leave a loop alone: that it is vectorised, and that it is not to be unrolled."""
 
 
@@ -225,7 +225,7 @@ class StatementEmitter(ABC):
                 metadata = self.loop_notes(FULLY)
             self.count(stmt.counter, self.value(stmt.start), self.value(stmt.stop), stmt.body, metadata)
             return
-        emit_strips(self, stmt, plan, Flags(self.flags, self.sum_flags), self.loop_notes(*_AS_IT_IS))
+        emit_strips(self, stmt, plan, Flags(self.flags, self.sum_flags), self.loop_notes(*AS_IT_IS))
 
     def loop_notes(self, *notes: str) -> str:
         """What says so of a loop, at its end."""

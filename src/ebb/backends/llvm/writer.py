@@ -44,6 +44,7 @@ class FunctionWriter:
         self._lines: list[str] = []
         self._allocas: list[str] = []
         self._count = 0
+        self._known: dict[str, str] | None = None
 
     def fresh(self, stem: str) -> str:
         """A name that no instruction or label of the function has."""
@@ -52,9 +53,21 @@ class FunctionWriter:
 
     def emit(self, instruction: str) -> str:
         """Appends ``instruction`` and returns the name of its result."""
+        if self._known is not None and instruction in self._known:
+            return self._known[instruction]
         name = f"%{self.fresh('v')}"
         self._lines.append(f"  {name} = {instruction}")
+        if self._known is not None and not instruction.startswith(("load", "phi")):
+            self._known[instruction] = name
         return name
+
+    def remember(self) -> None:
+        """From here on what is computed a second time is taken from the first: each block follows the one before."""
+        self._known = {}
+
+    def forget(self) -> None:
+        """Ends ``remember``."""
+        self._known = None
 
     def do(self, instruction: str) -> None:
         """Appends an instruction without result."""

@@ -1,0 +1,241 @@
+"""Which loops over rows can do several rows at once, in the lanes of vector registers.
+
+LLVM's own vectoriser takes plain loops over rows as they are; it gives up on those that this is for: rows that read or
+change many rows of other relations, and rows that may fail. A loop is taken when its body is straight: arithmetic,
+loads, stores to the own row, sums into other rows, conditions, and checks that fail.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import Enum
+
+from ebb.backends.llvm.strips import LANE_MATH, is_failure
+from ebb.backends.llvm.transpose import LANES
+from ebb.backends.llvm.vector_math import VectorForms
+from ebb.compiler import lir
+from ebb.compiler.lir_walk import operands, statements, values
+from ebb.records import record
+from ebb.types.types import Kind
+
+LEAST_WORK = 12
+"""The operations on floats, for each place that lanes reach by themselves, from which on strips pay."""
+
+MOST_COMPONENTS = 16
+"""Rows with more elements than this are not written in strips."""
+
+_BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
+_CHANGES = frozenset({"+", "-", "*", "min", "max", "&", "|", "^"})
+_SWAPPED = _CHANGES - {"-"}
+_INTEGERS = (Kind.SIGNED, Kind.UNSIGNED)
+
+
+class Reach(Enum):
+    """How the rows of a strip reach a place: all the same, one after the other, or each its own."""
+
+    SAME = "same"
+    FOLLOWING = "following"
+    OWN = "own"
+
+
+@record
+class Update:
+    """A store that changes an element of another row: by ``op`` and ``value``."""
+
+    op: str
+    value: lir.Value
+
+
+@record
+class RowPlan:
+    """How a loop over rows runs in strips.
+
+    Attributes:
+        definitions: the operation of each temporary, by number.
+        updates: the stores that change elements of other rows, by the identity of the statement.
+        skipped: the loads and operations that updates stand for, by the number of the temporary.
+        checks: how many statements may fail.
+    """
+
+    definitions: dict[int, lir.Operation]
+    updates: dict[int, Update]
+    skipped: set[int]
+    checks: int
+
+
+class _Unfit(Exception):  # noqa: N818 - no error: the loop is taken as it is
+    """The loop cannot run in strips."""
+
+
+def plan_rows(loop: lir.RowLoop, vector_math: VectorForms) -> RowPlan | None:
+    """How ``loop`` runs in strips, or None where it cannot, or gains nothing by it."""
+    try:
+        return _Planner(loop, vector_math).plan()
+    except _Unfit:
+        return None
+
+
+class _Planner:
+    def __init__(self, loop: lir.RowLoop, vector_math: VectorForms) -> None:
+        self.loop, self.vector_math = loop, vector_math
+        self.all = list(statements(loop.body))
+        self.lets = [stmt for stmt in self.all if isinstance(stmt, lir.Let)]
+        self.definitions = {let.temp.number: let.operation for let in self.lets}
+        self.uses = Counter(value.number for stmt in self.all for value in values(stmt) if isinstance(value, lir.Temp))
+        self.reach = {index.number: Reach.SAME for index in loop.index}
+        self.reach[loop.index[-1].number] = Reach.FOLLOWING
+        self.declared = {stmt.var.number for stmt in self.all if isinstance(stmt, lir.Declare)}
+        self.updates: dict[int, Update] = {}
+        self.skipped: set[int] = set()
+        self.touches: Counter[int] = Counter()
+        self.changes: Counter[int] = Counter()
+        self.checks = 0
+
+    def plan(self) -> RowPlan:
+        self.find_reach()
+        self.count_changes()
+        self.check(self.loop.body, nested=False)
+        stored = [stmt for stmt in self.all if isinstance(stmt, lir.Store)]
+        changed = {stmt.slot.number for stmt in stored if id(stmt) in self.updates}
+        for stmt in stored:
+            # What other rows change is neither read nor set by the row itself.
+            demand(stmt.slot.number not in changed or id(stmt) in self.updates)
+        for let in self.lets:
+            if isinstance(let.operation, lir.Load) and let.temp.number not in self.skipped:
+                demand(let.operation.slot.number not in changed)
+        demand(self.pays())
+        return RowPlan(self.definitions, self.updates, self.skipped, self.checks)
+
+    def pays(self) -> bool:
+        """Whether there is arithmetic enough for the places that lanes reach by themselves, or a check in the way."""
+        work = sum(_work(let.operation) for let in self.lets if let.temp.type.kind is Kind.FLOAT)
+        own = {
+            (let.operation.slot.number, let.operation.index)
+            for let in self.lets
+            if isinstance(let.operation, lir.Load) and self.reach_of(let.operation.index) is Reach.OWN
+        }
+        places = len(own) + len(self.updates)
+        return work >= LANES and (places > 0 or self.checks > 0) and work >= LEAST_WORK * places / 8
+
+    # ---- How places are reached ----
+
+    def reach_of(self, value: lir.Value) -> Reach:
+        return self.reach.get(value.number, Reach.SAME) if isinstance(value, lir.Temp) else Reach.SAME
+
+    def find_reach(self) -> None:
+        for let in self.lets:
+            reaches = {self.reach_of(value) for value in operands(let.operation)}
+            match let.operation:
+                case lir.LoadVar():
+                    self.reach[let.temp.number] = Reach.OWN
+                case lir.Load():
+                    self.reach[let.temp.number] = Reach.SAME if reaches == {Reach.SAME} else Reach.OWN
+                case lir.Binary("+" | "-" | "*") | lir.Convert() if Reach.OWN not in reaches:
+                    self.reach[let.temp.number] = Reach.FOLLOWING if Reach.FOLLOWING in reaches else Reach.SAME
+                case _:
+                    self.reach[let.temp.number] = Reach.SAME if reaches <= {Reach.SAME} else Reach.OWN
+
+    # ---- What is fit ----
+
+    def check(self, body: lir.Body, nested: bool) -> None:
+        for stmt in body:
+            match stmt:
+                case lir.Let(temp, operation):
+                    self.check_operation(temp, operation)
+                case lir.Declare():
+                    pass
+                case lir.StoreVar(var, lir.Literal(), _):
+                    demand(var.number in self.declared)
+                case lir.Accumulate(var, lir.Literal(), _, _):
+                    demand(var.number not in self.declared)
+                case lir.If() if is_failure(stmt):
+                    self.checks += 1
+                case lir.If(_, then, orelse):
+                    self.check(then, nested=True)
+                    self.check(orelse, nested=True)
+                case lir.Store(slot, index, value):
+                    self.check_store(stmt, slot, index, value, nested)
+                case _:
+                    raise _Unfit
+
+    def check_store(self, stmt: lir.Store, slot: lir.Slot, index: lir.Value, value: lir.Value, nested: bool) -> None:
+        if self.find_update(stmt, slot, index, value):
+            demand(not nested and self.reach_of(index) is not Reach.SAME)
+            return
+        demand(self.reach_of(index) is Reach.FOLLOWING and slot.type.kind is not Kind.BOOL)
+
+    def find_update(self, stmt: lir.Store, slot: lir.Slot, index: lir.Value, stored: lir.Value) -> bool:
+        """Whether ``stmt`` changes an element of another row by an operation; notes it."""
+        if not isinstance(stored, lir.Temp):
+            return False
+        match self.definitions.get(stored.number):
+            case lir.Binary(op, lir.Temp() as before, value) if op in _CHANGES and self.reads(before, slot, index):
+                pass
+            case lir.Binary(op, value, lir.Temp() as before) if op in _SWAPPED and self.reads(before, slot, index):
+                pass
+            case _:
+                return False
+        if self.uses[stored.number] != 1 or self.touches[slot.number] != 2 * self.changes[slot.number]:
+            return False
+        self.skipped |= {stored.number, before.number}
+        self.updates[id(stmt)] = Update(op, value)
+        return True
+
+    def count_changes(self) -> None:
+        """How often each slot is touched, and how often loaded, changed and stored."""
+        for stmt in self.all:
+            match stmt:
+                case lir.Let(_, lir.Load(slot, _)):
+                    self.touches[slot.number] += 1
+                case lir.Store(slot, index, lir.Temp(number)):
+                    self.touches[slot.number] += 1
+                    operation = self.definitions.get(number)
+                    if isinstance(operation, lir.Binary):
+                        loads = [x for x in (operation.left, operation.right) if isinstance(x, lir.Temp)]
+                        self.changes[slot.number] += any(self.reads(load, slot, index) for load in loads)
+                case lir.Store(slot, _, _):
+                    self.touches[slot.number] += 1
+                case _:
+                    pass
+
+    def reads(self, value: lir.Temp, slot: lir.Slot, index: lir.Value) -> bool:
+        match self.definitions.get(value.number):
+            case lir.Load(read, at):
+                return read == slot and at == index and self.uses[value.number] == 1
+            case _:
+                return False
+
+    def check_operation(self, temp: lir.Temp, operation: lir.Operation) -> None:
+        same = self.reach_of(temp) is Reach.SAME
+        match operation:
+            case lir.LoadVar(var, index):
+                demand(isinstance(index, lir.Literal) and var.number in self.declared)
+            case lir.Load(slot, _):
+                demand(same or slot.type.kind is not Kind.BOOL)
+            case _ if same:
+                demand(not isinstance(operation, lir.ThreadNumber))
+            case lir.Binary(">>", _, right):
+                demand(temp.type.kind is Kind.SIGNED and self.reach_of(right) is Reach.SAME)
+            case lir.Binary(op, _, _):
+                demand(op in _BINARY and (op != "/" or temp.type.kind is Kind.FLOAT))
+            case lir.Math(function, _):
+                forms = self.vector_math.get((function, temp.type.bits), ())
+                demand(function in LANE_MATH or any(form.lanes == LANES for form in forms))
+            case _:
+                pass
+
+
+def demand(holds: bool) -> None:
+    """Gives the loop up unless that holds."""
+    if not holds:
+        raise _Unfit
+
+
+def _work(operation: lir.Operation) -> int:
+    match operation:
+        case lir.Binary("/") | lir.Math():
+            return 8
+        case lir.Unary() | lir.Binary() | lir.Select():
+            return 1
+        case _:
+            return 0
