@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from benchmarks import data, expected
+from benchmarks import data, expected, solids
 from benchmarks import fluids as fluid_data
 from benchmarks.constants import FMA_PER_STEP, PCG_ITERATIONS
 from benchmarks.data import Arrays
@@ -123,6 +123,65 @@ def fluid_program(n: int) -> Program:
     )
 
 
+TETRAHEDRON_FLOPS = 1300
+"""Of forces and stiffness, with ten of the sixteen blocks computed: 850 of them for these, 144 to add all up."""
+
+
+def assembly_work(arrays: Arrays) -> Work:
+    """Forces and stiffness are cleared, then added to; a tetrahedron has 20 keys, 9 gradients and a volume."""
+    elements, edges, vertices = len(arrays["corners"]), len(arrays["head"]), len(arrays["points"])
+    return Work(160 * elements + 2 * 144 * edges + (2 * 48 + 24) * vertices, TETRAHEDRON_FLOPS * elements)
+
+
+def solver_work(arrays: Arrays) -> Work:
+    """An iteration: 76 bytes a block and 76 a vertex for the product, 168 for the update, 96 for the direction."""
+    edges, vertices = len(arrays["head"]), len(arrays["points"])
+    times = solids.CG_ITERATIONS
+    return Work(times * (76 * edges + (76 + 168 + 96) * vertices), times * (18 * edges + 33 * vertices))
+
+
+def solid_program(
+    code: str,
+    text: str,
+    make: Callable[[int], Arrays],
+    expected_of: Callable[[Arrays, int], Arrays],
+    n: int,
+    tolerance: float,
+    work: Callable[[Arrays], Work] | None = None,
+) -> Program:
+    """A program of ``solids`` on a beam of 12 n^3 tetrahedra."""
+    count = 12 * n**3
+    return Program(
+        f"{code}-{count}",
+        f"{text}, {count:,} tetrahedra",
+        code,
+        make,
+        {Scale.FULL: n, Scale.QUICK: min(n, 12), Scale.TINY: 2},
+        expected_of,
+        tolerance=tolerance,
+        work=work,
+        systems=("ebb", "cpp"),
+        check_steps=1 if work else 3,
+    )
+
+
+def solid_programs() -> tuple[Program, ...]:
+    """Elastic solids, as large as the dragon of the paper's figure, and refined twice."""
+    assembly = ("solid-assembly", "forces and stiffness of StVK", solids.beam, solids.assembly_steps)
+    solver = (
+        "solid-solver",
+        f"{solids.CG_ITERATIONS} iterations of CG, 3 x 3",
+        solids.beam_system,
+        solids.solver_steps,
+    )
+    step = ("solid", "a step of an elastic beam", solids.beam_at_rest, solids.solid_steps)
+    return (
+        *(solid_program(*assembly, n, 1e-9, assembly_work) for n in (6, 24)),
+        *(solid_program(*solver, n, 1e-4, solver_work) for n in (6, 24)),
+        solid_program(*step, 6, 1e-4),
+    )
+
+
 BOX = {Scale.FULL: 52, Scale.QUICK: 24, Scale.TINY: 3}
 
 
@@ -203,6 +262,8 @@ PROGRAMS = (
     ),
     particles("particles", "each finds its cell"),
     particles("particles-keys", "each has a key of its cell, and finds the next", "particles"),
+    *(fluid_program(n) for n in (512, 1024, 2048)),
+    *solid_programs(),
     Program(
         "launch",
         "one launch on 1 row",
