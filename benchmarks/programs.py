@@ -170,7 +170,7 @@ def solid_programs() -> tuple[Program, ...]:
     assembly = ("solid-assembly", "forces and stiffness of StVK", solids.beam, solids.assembly_steps)
     solver = (
         "solid-solver",
-        f"{solids.CG_ITERATIONS} iterations of CG, 3 x 3",
+        f"{solids.CG_ITERATIONS} iterations of CG",
         solids.beam_system,
         solids.solver_steps,
     )

@@ -24,6 +24,7 @@ from benchmarks.constants import (
 )
 from benchmarks.data import Arrays, aligned
 from benchmarks.fluids import FLUID_DT, SPREAD, fluid_outputs
+from benchmarks.solids import CG_ITERATIONS, DAMPING, LAMBDA, MOST_ITERATIONS, MU, SOLID_DT, TOLERANCE
 from benchmarks.systems import Prepared, Programs
 
 THREADS = int(os.environ["OMP_NUM_THREADS"])
@@ -161,6 +162,45 @@ def fluid(arrays: Arrays) -> Prepared:
     return Prepared(run, lambda: fluid_outputs(*carried, waves, pos))
 
 
+def doubles(*numbers: float) -> tuple[ctypes.c_double, ...]:
+    return tuple(map(ctypes.c_double, numbers))
+
+
+def zeros(*shape: int) -> np.ndarray:
+    return aligned(np.zeros(shape))
+
+
+def elements(arrays: Arrays) -> tuple[object, ...]:
+    given = (arrays[name] for name in ("corners", "entries", "inverse", "volume"))
+    return (len(arrays["corners"]), *given, *doubles(LAMBDA, MU))
+
+
+def solid_assembly(arrays: Arrays) -> Prepared:
+    size = len(arrays["points"])
+    force, stiffness = zeros(size, 3), zeros(len(arrays["head"]), 3, 3)
+    given = (size, arrays["first"], *elements(arrays), arrays["moved"], force, stiffness)
+    return Prepared(bind("stvk", *given, source="fem.cpp"), lambda: {"force": force, "stiffness": stiffness})
+
+
+def solid_solver(arrays: Arrays) -> Prepared:
+    size, diagonal = len(arrays["b"]), np.einsum("eaa->ea", arrays["matrix"][arrays["diagonal"]])
+    x, r, p, product = (zeros(size, 3) for _ in range(4))
+    system = (arrays["first"], arrays["head"], arrays["matrix"], aligned(1 / diagonal), arrays["b"])
+    run = bind("block_cg", CG_ITERATIONS, *doubles(0.0), size, *system, x, r, p, product, source="fem.cpp")
+    return Prepared(run, lambda: {"x": x})
+
+
+def solid(arrays: Arrays) -> Prepared:
+    size = len(arrays["points"])
+    moved, velocity, matrix = arrays["moved"], zeros(size, 3), zeros(len(arrays["head"]), 3, 3)
+    force, *work = (zeros(size, 3) for _ in range(7))
+    mesh = (size, *(arrays[name] for name in ("first", "head", "diagonal")), *elements(arrays))
+    given = (*(arrays[name] for name in ("mass", "load", "free")), *doubles(SOLID_DT, 0.0, DAMPING))
+    limits = (MOST_ITERATIONS, *doubles(TOLERANCE))
+    run = bind("stvk_step", *limits, *mesh, *given, moved, velocity, force, matrix, *work, source="fem.cpp")
+    return Prepared(run, lambda: {"moved": moved, "velocity": velocity})
+
+
 def triad(arrays: Arrays) -> Prepared:
     a, b, c = (arrays[name] for name in "abc")
     return Prepared(bind("triad", len(a), a, b, c, 3.0), some(arrays, "a"))
@@ -182,6 +222,9 @@ PROGRAMS: Programs = {
     "particles": particles,
     "particles-keys": particles_keys,
     "fluid": fluid,
+    "solid-assembly": solid_assembly,
+    "solid-solver": solid_solver,
+    "solid": solid,
     "triad": triad,
     "fma": fma,
 }

@@ -5,12 +5,17 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 import ebb
 from benchmarks.constants import AXPY_FACTOR, DT, PARTICLE_DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
 from benchmarks.data import Arrays
 from benchmarks.fluids import fluid_outputs
+from benchmarks.solids import CG_ITERATIONS, DAMPING, DENSITY, GRAVITY, POISSON, SOLID_DT, TOLERANCE, YOUNG
 from benchmarks.systems import Prepared, Programs
+from ebb.domains import TetMesh
 
 if os.environ["BENCHMARKS_SYSTEM"] == "reference":
     ebb.set_backend("reference")
@@ -253,9 +258,13 @@ def particles(arrays: Arrays, code: str) -> Prepared:
     return Prepared(run, lambda: {"pos": dust.pos.to_numpy()})
 
 
+def find_examples() -> None:
+    sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+
 def fluid(arrays: Arrays) -> Prepared:
     """The kernels of the example, on the benchmark's numbers."""
-    sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+    find_examples()
     from fluids_fft import Fluid
 
     example = Fluid(len(arrays["u"]), viscosity=0.0)
@@ -278,8 +287,71 @@ def fluid(arrays: Arrays) -> Prepared:
     return Prepared(run, outputs)
 
 
+def solid_mesh(arrays: Arrays) -> TetMesh:
+    mesh = TetMesh.from_arrays(arrays["points"], arrays["corners"], self_edges=True, precision=ebb.float64)
+    assert (mesh.edges.head.to_numpy() == arrays["head"]).all()
+    return mesh
+
+
+def soft_body(arrays: Arrays) -> tuple[TetMesh, Any]:
+    """The body of the example, and its mesh."""
+    find_examples()
+    import fem
+    import fem_stvk
+
+    mesh, material = solid_mesh(arrays), fem.Material(YOUNG, POISSON, DENSITY)
+    fixed = np.flatnonzero(arrays["free"] == 0)
+    body = fem.SoftBody(mesh, fem_stvk.LAW, [material], fixed=fixed, damping=fem.Damping(0.0, DAMPING))
+    body.set_load(GRAVITY)
+    mesh.vertices.q.load(arrays["moved"])
+    return mesh, body
+
+
+def solid_assembly(arrays: Arrays) -> Prepared:
+    mesh, body = soft_body(arrays)
+    from fem import clear_forces
+
+    def run(steps: int) -> None:
+        for _ in range(steps):
+            clear_forces(mesh.vertices)
+            body.assemble(0.0, 1.0)
+
+    return Prepared(run, lambda: {"force": mesh.vertices.force.to_numpy(), "stiffness": mesh.edges.A.to_numpy()})
+
+
+def solid_solver(arrays: Arrays) -> Prepared:
+    from ebb.solvers import ConjugateGradients
+
+    mesh = solid_mesh(arrays)
+    vertices, edges = mesh.vertices, mesh.edges
+    edges.new_field("A", ebb.mat3d, init=arrays["matrix"])
+    vertices.new_field("b", ebb.vec3d, init=arrays["b"])
+    vertices.new_field("x", ebb.vec3d, init=0.0)
+    solver = ConjugateGradients(vertices.x, vertices.b, edges.A, preconditioner="jacobi")
+
+    def run(steps: int) -> None:
+        for _ in range(steps):
+            vertices.x.fill(0.0)
+            solver.solve(tolerance=0.0, most_iterations=CG_ITERATIONS)
+
+    return Prepared(run, lambda: {"x": vertices.x.to_numpy()})
+
+
+def solid(arrays: Arrays) -> Prepared:
+    mesh, body = soft_body(arrays)
+
+    def run(steps: int) -> None:
+        for _ in range(steps):
+            body.step(SOLID_DT, TOLERANCE)
+
+    return Prepared(run, lambda: {"moved": mesh.vertices.q.to_numpy(), "velocity": mesh.vertices.qd.to_numpy()})
+
+
 PROGRAMS: Programs = {
     "fluid": fluid,
+    "solid-assembly": solid_assembly,
+    "solid-solver": solid_solver,
+    "solid": solid,
     "gather": lambda arrays: springs(arrays, "gather"),
     "scatter": lambda arrays: springs(arrays, "scatter"),
     "both-ends": lambda arrays: springs(arrays, "both-ends"),

@@ -31,7 +31,7 @@ inline Vec times(const Mat &m, const Vec &v) {
     return r;
 }
 
-// What the blocks of a tetrahedron are made of: block(i, j) = (g_i . s_j) I + a h_i h_j^T + b h_j h_i^T + (g_i . g_j) C.
+// The parts of the blocks of a tetrahedron: block(i, j) = (g_i . s_j) I + a h_i h_j^T + b h_j h_i^T + (g_i . g_j) C.
 struct Element {
     Vec gradient[4], stress[4], push[4], force[4];
     double along, across;
@@ -178,21 +178,24 @@ extern "C" void neohookean(int64_t vertices, const int32_t *first, int64_t tetra
                          stiffness);
 }
 
-// So many iterations of conjugate gradients on matrix x = b from x = 0, the preconditioner given as its diagonal; what
-// has none (0) stays where it is.
-extern "C" void block_cg(int64_t iterations, int64_t n, const int32_t *first, const int32_t *head, const double *matrix,
-                         const double *preconditioner, const double *b, double *x, double *r, double *p,
-                         double *product) {
-    double rz = 0;
-#pragma omp parallel for reduction(+ : rz)
+// At most so many iterations of conjugate gradients on matrix x = b from x = 0, until the residual is smaller than b by
+// the factor `tolerance`. The preconditioner is given as its diagonal; what has none (0) stays where it is.
+extern "C" void block_cg(int64_t iterations, double tolerance, int64_t n, const int32_t *first, const int32_t *head,
+                         const double *matrix, const double *preconditioner, const double *b, double *x, double *r,
+                         double *p, double *product) {
+    double rz = 0, bb = 0, rr = 0;
+#pragma omp parallel for reduction(+ : rz, bb)
     for (int64_t i = 0; i < 3 * n; ++i) {
         x[i] = 0;
         r[i] = b[i];
         p[i] = preconditioner[i] * b[i];
         rz += r[i] * p[i];
+        bb += b[i] * b[i];
     }
     for (int64_t iteration = 0; iteration < iterations; ++iteration) {
+        if (iteration && rr <= tolerance * tolerance * bb) break;
         double along = 0, fresh = 0;
+        rr = 0;
 #pragma omp parallel for reduction(+ : along)
         for (int64_t v = 0; v < n; ++v) {
             double sum[3];
@@ -203,11 +206,12 @@ extern "C" void block_cg(int64_t iterations, int64_t n, const int32_t *first, co
             }
         }
         const double alpha = rz / along;
-#pragma omp parallel for reduction(+ : fresh)
+#pragma omp parallel for reduction(+ : fresh, rr)
         for (int64_t i = 0; i < 3 * n; ++i) {
             x[i] += alpha * p[i];
             r[i] -= alpha * product[i];
             fresh += r[i] * preconditioner[i] * r[i];
+            rr += preconditioner[i] != 0 ? r[i] * r[i] : 0;
         }
         const double beta = fresh / rz;
         rz = fresh;
@@ -218,12 +222,13 @@ extern "C" void block_cg(int64_t iterations, int64_t n, const int32_t *first, co
 
 // A linearised step of backward Euler, A dv = h (f_ext - f - (h K + D) v) with A = M + h D + h^2 K and D = a M + b K,
 // the stiffness in `matrix` turned into A in place. `mass` belongs to the edges, `load` is f_ext.
-extern "C" void stvk_step(int64_t iterations, int64_t vertices, const int32_t *first, const int32_t *head,
-                          const int32_t *diagonal, int64_t tetrahedra, const int32_t *corners, const int32_t *entries,
-                          const double *inverse, const double *volumes, double lambda, double mu, const double *mass,
-                          const double *load, const double *is_free, double h, double damp_mass, double damp_stiffness,
-                          double *moved, double *velocity, double *force, double *matrix, double *preconditioner,
-                          double *b, double *x, double *r, double *p, double *product) {
+extern "C" void stvk_step(int64_t iterations, double tolerance, int64_t vertices, const int32_t *first,
+                          const int32_t *head, const int32_t *diagonal, int64_t tetrahedra, const int32_t *corners,
+                          const int32_t *entries, const double *inverse, const double *volumes, double lambda,
+                          double mu, const double *mass, const double *load, const double *is_free, double h,
+                          double damp_mass, double damp_stiffness, double *moved, double *velocity, double *force,
+                          double *matrix, double *preconditioner, double *b, double *x, double *r, double *p,
+                          double *product) {
     stvk(vertices, first, tetrahedra, corners, entries, inverse, volumes, lambda, mu, moved, force, matrix);
 #pragma omp parallel for
     for (int64_t v = 0; v < vertices; ++v) {
@@ -243,7 +248,7 @@ extern "C" void stvk_step(int64_t iterations, int64_t vertices, const int32_t *f
             preconditioner[3 * v + a] = is_free[v] / matrix[9 * int64_t(diagonal[v]) + 4 * a];
         }
     }
-    block_cg(iterations, vertices, first, head, matrix, preconditioner, b, x, r, p, product);
+    block_cg(iterations, tolerance, vertices, first, head, matrix, preconditioner, b, x, r, p, product);
 #pragma omp parallel for
     for (int64_t i = 0; i < 3 * vertices; ++i) {
         velocity[i] += x[i];
