@@ -6,7 +6,7 @@ from math import inf
 from typing import Any, ClassVar
 
 import ebb
-from ebb.solvers.iteration import CURVATURE, NOT_FINITE, PRECONDITIONER, RUNNING, begin, is_finite, judge
+from ebb.solvers.iteration import CURVATURE, NOT_FINITE, PRECONDITIONER, RUNNING, is_finite, judge
 from ebb.solvers.kernels import dot_of
 from ebb.solvers.krylov import KrylovSolver
 
@@ -28,6 +28,7 @@ class ConjugateGradients(KrylovSolver):
         x, r, p, q = self._system.x.name, self._r, self._p, self._q
         dot, apply, number = dot_of(self._system), self._preconditioning.apply, self._system.scalar
         go, curvature, after, square = self._go, self._product, self._inner, self._square
+        begin, norm = self._progress.begin, self._norm
         self._before = before = ebb.Global(ebb.float64, 0.0)  # r.z of the iteration before
 
         @ebb.kernel
@@ -47,7 +48,7 @@ class ConjugateGradients(KrylovSolver):
 
         @ebb.kernel
         def begin_steps(s: Any) -> None:
-            begin(s)
+            begin(s, norm.value)
             if ebb.id(s) == 0:
                 before.value += after.value
 

@@ -125,13 +125,6 @@ def judge(s: Any, square: Any, fault: Any, target: Any, limit: Any) -> Any:
     return status
 
 
-@ebb.func
-def begin(s: Any) -> None:
-    """Sets a row of ``Progress.steps`` as it is before the first iteration."""
-    s.status = RUNNING
-    s.taken = 0
-
-
 class Progress:
     """How far a solver has come.
 
@@ -142,6 +135,8 @@ class Progress:
         absolute: the square of the absolute tolerance.
         target: the square of the norm of the residual at which to stop.
         limit: the most iterations.
+        begin: ``f(s, norm)`` of kernels sets a row of ``steps`` as it is before the first iteration, and adds to
+            ``target``, by the square of the norm of the right-hand side.
     """
 
     def __init__(self, name: str) -> None:
@@ -151,6 +146,7 @@ class Progress:
         self.steps.new_field("square", ebb.float64)
         self.relative, self.absolute, self.target = (ebb.Global(ebb.float64, 0.0) for _ in range(3))
         self.limit = ebb.Global(ebb.int32, 0)
+        self.begin = _beginning(self)
         self._asked: Options | None = None
         self._expected = _FIRST_STEPS
 
@@ -185,3 +181,16 @@ class Progress:
                 count = max(_FIRST_STEPS, taken // 8)
         self._expected = max(_FIRST_STEPS, len(squares) - 1)
         return Result(len(squares) - 1, np.sqrt(squares), reason)
+
+
+def _beginning(progress: Progress) -> Any:
+    relative, absolute, target = progress.relative, progress.absolute, progress.target
+
+    @ebb.func
+    def begin(s: Any, norm: Any) -> None:
+        s.status = RUNNING
+        s.taken = 0
+        if ebb.id(s) == 0:
+            target.value += max(relative.value * norm, absolute.value)
+
+    return begin

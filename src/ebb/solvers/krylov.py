@@ -65,7 +65,7 @@ class KrylovSolver:
         self._preconditioning = preconditioning(system, preconditioner, self.prefix, self._r, self._faults)
         self._multiply = product_of(system, self._p, self._q, self._go, self._product)
         self._begin, self._find_residual, self._clear = self._kernels_of_start()
-        self._measure, self._aim = self._measuring_kernel(), self._aiming_kernel()
+        self._measure = self._measuring_kernel()
         self._make_kernels()
         self._captured: tuple[Any, Any] | None = None
 
@@ -131,7 +131,7 @@ class KrylovSolver:
         raise NotImplementedError
 
     def _set_out(self) -> None:
-        """Launches a kernel on the rows of ``steps`` that calls ``begin``, and sets the scalars of the first step."""
+        """Launches a kernel on ``steps`` that calls its ``begin``, and sets the scalars of the first iteration."""
         raise NotImplementedError
 
     def _step(self) -> None:
@@ -153,7 +153,6 @@ class KrylovSolver:
             self._precondition()
             self._first_vectors()
             self._progress.target.value = 0
-            self._aim(self._progress.steps)
             self._set_out()
         with ebb.capture() as step:
             _clear(self._product, self._square, self._inner)
@@ -203,17 +202,6 @@ class KrylovSolver:
             inner.value += dot(v[r], apply(v, v[r]))
 
         return measure
-
-    def _aiming_kernel(self) -> ebb.Kernel:
-        norm, progress = self._norm, self._progress
-        relative, absolute, target = progress.relative, progress.absolute, progress.target
-
-        @ebb.kernel
-        def aim(s: Any) -> None:
-            if ebb.id(s) == 0:
-                target.value += max(relative.value * norm.value, absolute.value)
-
-        return aim
 
 
 def _clear(*sums: ebb.Global) -> None:

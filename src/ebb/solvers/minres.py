@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import ebb
-from ebb.solvers.iteration import BREAKDOWN, NOT_FINITE, PRECONDITIONER, RUNNING, begin, is_finite, judge
+from ebb.solvers.iteration import BREAKDOWN, NOT_FINITE, PRECONDITIONER, RUNNING, is_finite, judge
 from ebb.solvers.kernels import dot_of
 from ebb.solvers.krylov import KrylovSolver
 
@@ -41,11 +41,11 @@ class MINRES(KrylovSolver):
         self._begin_steps = self._beginning_kernel()
 
     def _beginning_kernel(self) -> ebb.Kernel:
-        inner, scalars = self._inner, self._scalars
+        inner, scalars, begin, norm = self._inner, self._scalars, self._progress.begin, self._norm
 
         @ebb.kernel
         def begin_steps(s: Any) -> None:
-            begin(s)
+            begin(s, norm.value)
             gamma = ebb.sqrt(inner.value)
             s.gamma, s.gamma_before, s.eta = gamma, 1.0, gamma
             s.c, s.c_before, s.s, s.s_before = 1.0, 1.0, 0.0, 0.0
