@@ -150,7 +150,7 @@ class Fluid:
         """Go on by ``dt``."""
         self.advect()
         self.solve()
-        self._move(self.particles, self.dt)
+        self.move()
 
     def advect(self) -> None:
         """Carry the velocity on, into ``carried_u`` and ``carried_v``."""
@@ -168,6 +168,10 @@ class Fluid:
     def diffuse_and_project(self) -> None:
         """Diffuse and project the velocity among frequencies."""
         self._diffuse_and_project(self.frequencies, self.viscosity * self.dt)
+
+    def move(self) -> None:
+        """Move the particles."""
+        self._move(self.particles, self.dt)
 
     def velocity(self) -> np.ndarray:
         """A copy of the velocity, of the shape (n, n, 2)."""
@@ -210,7 +214,7 @@ class Fluid:
             kx, ky = ebb.float32(i if 2 * i <= n else i - n), ebb.float32(j)
             square = kx * kx + ky * ky
             decay = 1 / (1 + spread * square)
-            along = (kx * f.u + ky * f.v) / max(square, 1)  # of the mean, whose square is 0, nothing
+            along = 1 / max(square, 1) * (kx * f.u + ky * f.v)  # of the mean, whose square is 0, nothing
             f.u = decay * (f.u - kx * along)
             f.v = decay * (f.v - ky * along)
 

@@ -12,6 +12,7 @@ from ebb.backends.llvm import ops
 from ebb.backends.llvm.ahead import Ahead, emit_ahead, plan_ahead
 from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entries
 from ebb.backends.llvm.lines import emit_line, emit_streaming, streams
+from ebb.backends.llvm.rare import emit_rare, plan_rare
 from ebb.backends.llvm.statements import StatementEmitter
 from ebb.backends.llvm.strides import is_unit
 from ebb.backends.llvm.writer import ModuleWriter
@@ -126,6 +127,8 @@ class _BlockEmitter(StatementEmitter):
                 emit_streaming(self, loop, metadata)
             elif loop.inside is not None:
                 emit_line(self, loop, metadata)
+            elif (plan := plan_rare(loop)) is not None:
+                emit_rare(self, loop, plan, self.bounds(d), metadata)
             else:
                 self.count(index[d], *self.bounds(d), loop.body, metadata)
             return

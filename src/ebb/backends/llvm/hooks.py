@@ -36,6 +36,7 @@ _LIBM = ("cbrt", "expm1", "log1p", "asinh", "acosh", "atanh", "hypot", "erf", "e
 NOT_ALWAYS_RIGHT = frozenset({"llvm.minimum", "llvm.maximum", "llvm.fptosi.sat", "llvm.fptoui.sat"})
 """The intrinsics that need not be the target's: what they do is said in plain instructions as well."""
 
+SATURATING = frozenset({"llvm.fptosi.sat", "llvm.fptoui.sat"})
 
 FAST = " reassoc nsz arcp contract afn"
 """What LLVM may do to floats under ``fastmath``. NaN and infinity stay what they are."""
@@ -145,6 +146,9 @@ CPU = Hooks(
 STRIPS_FEATURE = "+avx2"
 """What a processor must have for strips to be quicker than plain loops."""
 
+CONVERSIONS_FEATURE = "+avx512dq"
+"""What converts several floats to integers of 64 bits at once. LLVM does not use it for ``SATURATING``."""
+
 
 def cpu_hooks(features: str, vector_math: Iterable[tuple[int, int]]) -> Hooks:
     """The hooks of a processor.
@@ -153,5 +157,7 @@ def cpu_hooks(features: str, vector_math: Iterable[tuple[int, int]]) -> Hooks:
         features: what it has, as LLVM spells it.
         vector_math: the versions of the library of vector functions that are there.
     """
-    strips = Strips.MASKED if STRIPS_FEATURE in features.split(",") else Strips.NONE
-    return replace(CPU, strips=strips, vector_math=vector_forms(features, vector_math))
+    own = features.split(",")
+    strips = Strips.MASKED if STRIPS_FEATURE in own else Strips.NONE
+    missing = SATURATING if CONVERSIONS_FEATURE in own else frozenset[str]()
+    return replace(CPU, strips=strips, missing=missing, vector_math=vector_forms(features, vector_math))

@@ -1,0 +1,178 @@
+"""Rows in which nothing rare happens: checks that hold, coordinates that lie within a period of their grid.
+
+A branch that leaves the loop, or leads to a division, keeps LLVM from computing several rows at once. So before some
+rows run, a loop looks at the conditions alone, several rows at once. Where none of them comes true, which is nearly
+always, the rows run without the branches; else they run one by one, with them, up to the row that fails.
+
+That is the same as long as the conditions can be had ahead: from values of the own row that nothing has changed yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+from ebb.backends.llvm.strips import is_failure
+from ebb.backends.llvm.writer import FunctionWriter
+from ebb.compiler import lir
+from ebb.compiler.lir_walk import operands, statements
+from ebb.records import record
+from ebb.types.types import bool_, int64
+
+MOST_STATEMENTS = 250
+"""Of longer rows vectors would not pay: LLVM gathers what keys lead to element by element."""
+
+PART = 1024
+"""So many rows are looked at, then run: what is loaded for the conditions is then still in the nearest cache."""
+
+
+@record(eq=False)
+class RarePlan:
+    """How the rows of a loop run.
+
+    Attributes:
+        ahead: what sets ``_HAPPENS`` if something rare happens in the row.
+        smooth: the body without what is rare.
+    """
+
+    ahead: lir.Body
+    smooth: lir.Body
+
+
+_HAPPENS = lir.Var(-1, "rare", bool_, 1, lir.Memory.PRIVATE)
+"""Whether something rare happens. No program has numbers below 0."""
+
+
+def plan_rare(loop: lir.RowLoop) -> RarePlan | None:
+    """The plan for ``loop``, or None where there is nothing rare, or nothing to win by leaving it out."""
+    rare = [stmt for stmt in loop.body if isinstance(stmt, lir.If) and is_rare(stmt)]
+    if loop.rows is not lir.Rows.INDEPENDENT or not rare:
+        return None
+    smooth = tuple(stmt for stmt in loop.body if not (isinstance(stmt, lir.If) and is_rare(stmt)))
+    if not _is_straight(smooth):
+        return None
+    needed = _slice(loop, [stmt.condition for stmt in rare])
+    if needed is None:
+        return None
+    notes = [note for number, stmt in enumerate(rare) for note in _noted(stmt, number)]
+    return RarePlan((*needed, *notes), smooth)
+
+
+def is_rare(stmt: lir.If) -> bool:
+    """Whether ``stmt`` does nothing but fail, or sets a variable to the remainder of a division."""
+    if is_failure(stmt):
+        return True
+    match stmt:
+        case lir.If(_, (lir.Let(_, lir.Binary("%")), lir.StoreVar()), ()):
+            return True
+        case _:
+            return False
+
+
+def _noted(stmt: lir.If, number: int) -> Iterator[lir.Stmt]:
+    """What notes that ``stmt`` does something; ``number`` is that of the statement among those that are rare."""
+    condition = stmt.condition
+    if not stmt.then:
+        condition = lir.Temp(-1 - number, bool_)
+        yield lir.Let(condition, lir.Unary("not", stmt.condition))
+    yield lir.Accumulate(_HAPPENS, lir.Literal(0, int64), "|", condition)
+
+
+def _is_straight(body: lir.Body) -> bool:
+    """Whether LLVM could make vectors of rows with this body."""
+    count = 0
+    for stmt in statements(body):
+        count += 1
+        if not isinstance(stmt, lir.Let | lir.Declare | lir.StoreVar | lir.Store | lir.Accumulate | lir.If):
+            return False
+    return count <= MOST_STATEMENTS
+
+
+def _slice(loop: lir.RowLoop, wanted: list[lir.Value]) -> lir.Body | None:
+    """The statements that compute the wanted values; None where more than the own row is needed, or what it becomes."""
+    places = {stmt.temp.number: place for place, stmt in enumerate(loop.body) if isinstance(stmt, lir.Let)}
+    given = {temp.number for temp in loop.index}
+    needed = set[int]()
+    rest = [(value, False) for value in wanted]  # and whether an index depends on it
+    while rest:
+        value, places_something = rest.pop()
+        if not isinstance(value, lir.Temp) or value.number in given:
+            continue
+        place = places.get(value.number)
+        stmt = None if place is None else loop.body[place]
+        if place is None or not isinstance(stmt, lir.Let) or not _can_be_ahead(loop.body[:place], stmt.operation):
+            return None
+        is_load = isinstance(stmt.operation, lir.Load)
+        if is_load and places_something:
+            return None
+        needed.add(place)
+        rest += [(operand, places_something or is_load) for operand in operands(stmt.operation)]
+    return tuple(loop.body[place] for place in sorted(needed))
+
+
+def _can_be_ahead(before: lir.Body, operation: lir.Operation) -> bool:
+    """Whether ``operation`` gives the same before any of the row's statements has run; ``before`` are those."""
+    match operation:
+        case lir.LoadVar() | lir.ThreadNumber():
+            return False
+        case lir.Load(slot, _):
+            changed = (stmt for stmt in statements(before) if isinstance(stmt, lir.Store | lir.Accumulate))
+            return all(_place(stmt) != slot for stmt in changed)
+        case _:
+            return True
+
+
+def _place(stmt: lir.Store | lir.Accumulate) -> lir.Slot | lir.Var:
+    return stmt.slot if isinstance(stmt, lir.Store) else stmt.var
+
+
+class Emitter(Protocol):
+    """What emits the loops."""
+
+    w: FunctionWriter
+
+    def load_var(self, var: lir.Var, index: str) -> str:
+        """A component of a variable."""
+        ...
+
+    def declare(self, var: lir.Var) -> None:
+        """Makes ``var``."""
+        ...
+
+    def count(self, counter: lir.Temp, start: str, stop: str, body: lir.Body, metadata: str = "") -> None:
+        """A loop whose turns are counted, with ``metadata`` at its end."""
+        ...
+
+
+def emit_rare(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, str], metadata: str) -> None:
+    """The innermost loop of ``loop``, from one of ``bounds`` to the other; ``metadata`` says that rows are parallel."""
+    w, (low, high) = e.w, bounds
+    head, part, latch, done = (w.fresh(stem) for stem in ("head", "part", "latch", "done"))
+    before, stop = w.label, f"%{w.fresh('stop')}"
+    w.branch(head)
+    w.start(head)
+    first = w.emit(f"phi i64 [ {low}, %{before} ], [ {stop}, %{latch} ]")
+    w.branch_if(w.emit(f"icmp slt i64 {first}, {high}"), part, done)
+    w.start(part)
+    end = w.emit(f"add nsw i64 {first}, {PART}")
+    w.do(f"{stop} = select i1 {w.emit(f'icmp slt i64 {end}, {high}')}, i64 {end}, i64 {high}")
+    _emit_part(e, loop, plan, (first, stop), metadata)
+    w.branch(latch)
+    w.start(latch)
+    w.branch(head)
+    w.start(done)
+
+
+def _emit_part(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, str], metadata: str) -> None:
+    w, counter = e.w, loop.index[-1]
+    e.declare(_HAPPENS)
+    e.count(counter, *bounds, plan.ahead)
+    smooth, one_by_one, done = (w.fresh(stem) for stem in ("smooth", "rare", "done"))
+    w.branch_if(e.load_var(_HAPPENS, "0"), one_by_one, smooth)
+    w.start(smooth)
+    e.count(counter, *bounds, plan.smooth, metadata)
+    w.branch(done)
+    w.start(one_by_one)
+    e.count(counter, *bounds, loop.body)
+    w.branch(done)
+    w.start(done)
