@@ -245,3 +245,18 @@ class TestBands:
     def test_fewer_dimensions_have_none(self):
         box = Box((0, 0), (64, 4096))
         assert np.array_equal(tile_boxes([box], 4), tile_boxes([box]))
+
+
+@pytest.mark.parametrize("size", [1, 40, 1000])
+def test_rows_of_several_numbers(stores, size):
+    """Their components lie together, so rows do not go on by one element."""
+    rows = ebb.Relation("rows", size=size)
+    rows.new_field("weight", ebb.float64, init=lambda i: float(i))
+    rows.new_field("a", ebb.mat3d)
+
+    @ebb.kernel
+    def scale(r: rows, factor: ebb.float64):
+        r.a = factor * r.weight * ebb.identity(3)
+
+    scale(rows, 2.0)
+    np.testing.assert_array_equal(rows.a.to_numpy(), 2.0 * np.arange(size)[:, None, None] * np.eye(3))

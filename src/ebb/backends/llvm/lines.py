@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.registers import emit_registers, plan_registers
-from ebb.backends.llvm.strides import is_even
+from ebb.backends.llvm.strides import is_even, is_unit
 from ebb.backends.llvm.turns import Emitter, value_at
 from ebb.compiler import lir
 
@@ -201,7 +201,7 @@ def _compute(
         taken = w.emit(f"add i64 {w.emit(f'sub i64 {last}, {begin}')}, {TOGETHER - 1}")
         count = _choose(e, w.emit(f"icmp slt i64 {first}, {last}"), w.emit(f"and i64 {taken}, {-TOGETHER}"), "0")
         end = w.emit(f"add i64 {begin}, {count}")
-        plan = plan_registers(body, index)
+        plan = plan_registers(body, index) if is_unit(body, index) else None
     if plan is None:
         e.count(index, begin, end, body, metadata)
     else:
