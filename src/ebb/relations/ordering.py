@@ -281,7 +281,8 @@ def _as_first_reached(columns: Array, size: int) -> Rows:
 
 def _columns(keys: Sequence[Field]) -> Array:
     """The keys of each row of their relation, those of one field after those of the other."""
-    return np.concatenate([key.data.reshape(key.relation.size, key.type.size) for key in keys], axis=1)
+    parts = [key.data.reshape(key.relation.size, key.type.size) for key in keys]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)  # what there is one of may be large
 
 
 # ---- What moves, and what with it ----
