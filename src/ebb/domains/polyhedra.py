@@ -278,33 +278,39 @@ def _groups(values: Integers) -> tuple[Integers, Integers, Integers]:
     return order, starts, np.diff(starts, append=len(values))
 
 
-def faces_of_cells(blocks: Sequence[tuple[npt.NDArray[np.int64], Sequence[Sequence[int]]]]) -> tuple[Ragged, Ragged]:
-    """Faces and cells of elements with a fixed scheme of faces; what two elements share is one face.
+def cell_faces(corners: Integers, scheme: Sequence[Sequence[int]]) -> tuple[Ragged, Integers]:
+    """The faces of elements of one kind, element by element, and how many each has.
 
     Args:
-        blocks: the corners of elements of one kind, of shape (n, k), and the corners of each of its faces.
+        corners: of each element, shape (n, k).
+        scheme: which of the corners each face has.
+    """
+    lengths = np.tile([len(face) for face in scheme], len(corners))
+    values = corners[:, [corner for face in scheme for corner in face]]
+    return Ragged.of_lengths(lengths, values), np.full(len(corners), len(scheme))
+
+
+def merged_faces(faces: Ragged, counts: Integers) -> tuple[Ragged, Ragged]:
+    """Faces and cells, where faces with the same points, in whatever order, are one.
+
+    Args:
+        faces: those of the first cell, then those of the second, and so on.
+        counts: how many each cell has.
 
     Returns:
-        The faces as lists of points, in the order in which they first occur, and the cells as lists of faces.
+        The different faces, in the order in which they first occur, and the cells as lists of these.
     """
-    cells: list[list[list[int]]] = []
-    for corners, scheme in blocks:
-        columns = [corners[:, list(face)].tolist() for face in scheme]
-        cells += [list(faces) for faces in zip(*columns, strict=True)]
-    return merged_faces(cells)
-
-
-def merged_faces(cells: Iterable[Iterable[Sequence[int]]]) -> tuple[Ragged, Ragged]:
-    """Faces and cells of cells given as lists of faces, which are lists of points; same points, same face."""
-    known: dict[tuple[int, ...], int] = {}
-    faces: list[Sequence[int]] = []
-    numbers: list[list[int]] = []
-    for cell in cells:
-        own: list[int] = []
-        for face in cell:
-            number = known.setdefault(tuple(sorted(face)), len(faces))
-            if number == len(faces):
-                faces.append(face)
-            own.append(number)
-        numbers.append(own)
-    return ragged("faces", faces, None), ragged("cells", numbers, None)
+    n = int(faces.values.max(initial=0)) + 1
+    first = np.empty(len(faces), dtype=np.int64)
+    for length in sorted(set(faces.lengths.tolist())):
+        rows = np.flatnonzero(faces.lengths == length)
+        corners = np.sort(faces.take(rows).values.reshape(-1, length), axis=1)
+        # Two points to a number: there are half as many columns to sort by.
+        codes = [corners[:, i] * n + corners[:, min(i + 1, length - 1)] for i in range(0, length, 2)]
+        order = np.lexsort(codes) if codes else np.arange(len(rows))
+        new = np.zeros(len(rows), dtype=bool)
+        for code in codes:
+            new |= np.diff(code[order], prepend=-1) != 0
+        first[rows[order]] = rows[order[np.flatnonzero(new)[np.cumsum(new) - 1]]]
+    distinct = sorted_distinct(first)
+    return faces.take(distinct), Ragged.of_lengths(counts, rank_in(distinct, first))

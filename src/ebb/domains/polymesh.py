@@ -19,11 +19,12 @@ from ebb.domains.io.files import values_to_save
 from ebb.domains.io.polygons import read_polygons, write_polygons
 from ebb.domains.polyhedra import (
     PolygonEdges,
+    cell_faces,
     check_cells,
     check_polygons,
     check_surface,
     distinct_pairs,
-    faces_of_cells,
+    merged_faces,
     polygon_edges,
     ragged,
 )
@@ -195,7 +196,7 @@ class PolyMesh:
                 block = (mesh.tetrahedra.v.to_numpy().astype(np.int64), OUTWARD_FACES.tolist())
             case HexMesh():
                 block = (mesh.elements.v.to_numpy().astype(np.int64), FACES.tolist())
-        return cls(PolyData(points, *faces_of_cells([block])), precision=precision)
+        return cls(PolyData(points, *merged_faces(*cell_faces(*block))), precision=precision)
 
     @classmethod
     def load(cls, path: str | PathLike[str], *, manifold: bool = True, precision: Any = ebb.float32) -> PolyMesh:

@@ -8,7 +8,7 @@ from ebb.domains import generators
 from ebb.domains.generators import require_count
 from ebb.domains.hexahedra import FACES, brick_points, bricks
 from ebb.domains.io.data import Floats, Integers, PolyData, Ragged
-from ebb.domains.polyhedra import faces_of_cells, ragged
+from ebb.domains.polyhedra import cell_faces, merged_faces, ragged
 from ebb.domains.topology import faces_of_tetrahedra, sorted_distinct
 
 # The six edges of a tetrahedron of positive volume, each followed by the two other corners in the order in which they
@@ -74,7 +74,7 @@ def goldberg(subdivisions: int, radius: float) -> PolyData:
 def box(shape: tuple[int, int, int], size: tuple[float, float, float]) -> PolyData:
     """A box with a corner at the origin, in ``shape`` bricks."""
     made = bricks(brick_points(shape, size))
-    return PolyData(made.points, *faces_of_cells([(made.cells, FACES.tolist())]))
+    return PolyData(made.points, *merged_faces(*cell_faces(made.cells, FACES.tolist())))
 
 
 def dual(points: Floats, tetrahedra: Integers) -> PolyData:

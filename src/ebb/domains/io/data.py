@@ -71,6 +71,18 @@ class Ragged:
     offsets: Integers
     values: Integers
 
+    @staticmethod
+    def of_lengths(lengths: Integers, values: Integers) -> Ragged:
+        """Rows of the given lengths, which take their values in turn."""
+        return Ragged(np.concatenate([[0], np.cumsum(lengths)]), values.ravel())
+
+    @staticmethod
+    def joined(parts: Sequence[Ragged]) -> Ragged:
+        """The rows of all parts, one part after the other."""
+        return Ragged.of_lengths(
+            np.concatenate([part.lengths for part in parts]), np.concatenate([part.values for part in parts])
+        )
+
     def __len__(self) -> int:
         return len(self.offsets) - 1
 

@@ -17,7 +17,7 @@ from ebb.domains.io.errors import UnknownFormat, Unsavable
 from ebb.domains.io.files import Saved
 from ebb.domains.io.meshio import read_blocks, write_meshio
 from ebb.domains.io.off import read_off_polygons, write_off
-from ebb.domains.polyhedra import merged_faces, ragged
+from ebb.domains.polyhedra import cell_faces, merged_faces, ragged
 from ebb.domains.topology import OUTWARD_FACES
 from ebb.errors import MeshFormatError
 
@@ -73,9 +73,10 @@ def write_polygons(path: str | PathLike[str], mesh: PolyData, saved: Saved) -> N
 
 def _polygons_of(name: str, points: Floats, blocks: list[tuple[str, Any]]) -> PolyData:
     origin = Origin(Source(name, ""))
-    cells = [cell for kind, data in blocks for cell in _faces_of(kind, data)]
-    if cells:
-        return PolyData(points, *merged_faces(cells), origin)
+    solid = [(kind, data) for kind, data in blocks if kind.startswith("polyhedron") or kind in SCHEMES]
+    if any(len(data) for _, data in solid):
+        parts, counts = zip(*(_faces_of(kind, data) for kind, data in solid), strict=True)
+        return PolyData(points, *merged_faces(Ragged.joined(parts), np.concatenate(counts)), origin)
     polygons = ("triangle", "quad", "polygon")
     faces = [face for kind, data in blocks if kind in polygons for face in np.asarray(data).tolist()]
     if not faces:
@@ -84,13 +85,12 @@ def _polygons_of(name: str, points: Floats, blocks: list[tuple[str, Any]]) -> Po
     return PolyData(points, ragged("faces", faces, None), ragged("cells", [], None), origin)
 
 
-def _faces_of(kind: str, data: Any) -> list[list[list[int]]]:
-    """The cells of a block, as lists of faces, which are lists of points; none if it has no polyhedra."""
-    if kind.startswith("polyhedron"):
-        return [[np.asarray(face).tolist() for face in cell] for cell in data]
-    corners = np.asarray(data)
-    columns = [corners[:, list(face)].tolist() for face in SCHEMES.get(kind, ())]
-    return [list(faces) for faces in zip(*columns, strict=True)]
+def _faces_of(kind: str, data: Any) -> tuple[Ragged, Integers]:
+    """The faces of the cells of a block, cell by cell, and how many each has."""
+    if kind in SCHEMES:
+        return cell_faces(np.asarray(data, dtype=np.int64), SCHEMES[kind])
+    faces = [np.asarray(face).tolist() for cell in data for face in cell]
+    return ragged("faces", faces, None), np.array([len(cell) for cell in data])
 
 
 def _face_blocks(faces: Ragged) -> list[tuple[str, Integers, Any]]:
