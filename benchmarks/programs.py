@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from benchmarks import data, expected, solids
+from benchmarks import data, expected, solids, stencils
 from benchmarks import fluids as fluid_data
 from benchmarks.constants import FMA_PER_STEP, PCG_ITERATIONS
 from benchmarks.data import Arrays
@@ -85,9 +85,16 @@ def axpy_work(arrays: Arrays) -> Work:
     return Work(12 * len(arrays["x"]), 2 * len(arrays["x"]))
 
 
-def stencil_work(arrays: Arrays) -> Work:
-    cells = int(np.prod(np.subtract(arrays["old"].shape, 2)))
-    return Work(12 * cells, 8 * cells)
+def stencil_work(flops: int) -> Callable[[Arrays], Work]:
+    """One read and one write of each field: what is overwritten need not be read first. Ends of lines count too."""
+    return lambda arrays: Work(8 * arrays["old"].size, flops * arrays["old"].size)
+
+
+def solid_stencil(name: str, title: str, steps: Callable[[Arrays, int], Arrays], flops: int) -> Program:
+    """A stencil on 256^3 cells."""
+    sizes = {Scale.FULL: 256, Scale.QUICK: 96, Scale.TINY: 6}
+    systems = ("ebb", "cpp", "numba", "taichi", "quadrants", *(("warp",) if name == "stencil" else ()))
+    return Program(name, title, name, data.grid, sizes, steps, work=stencil_work(flops), systems=systems)
 
 
 def heat_work(arrays: Arrays) -> Work:
@@ -231,14 +238,17 @@ PROGRAMS = (
         expected.axpy_steps,
         work=axpy_work,
     ),
+    solid_stencil("stencil", "7-point stencil, 256^3 cells", expected.stencil_steps, 8),
+    solid_stencil("stencil-27", "27-point stencil, 256^3 cells", stencils.stencil27_steps, 30),
+    solid_stencil("stencil-periodic", "7-point stencil, 256^3 cells that wrap", stencils.periodic_steps, 8),
     Program(
-        "stencil",
-        "7-point stencil, 256^3 cells",
-        "stencil",
-        data.grid,
-        {Scale.FULL: 256, Scale.QUICK: 96, Scale.TINY: 6},
-        expected.stencil_steps,
-        work=stencil_work,
+        "jacobi",
+        "Jacobi iteration, 4096^2 cells",
+        "jacobi",
+        stencils.plane,
+        {Scale.FULL: 4096, Scale.QUICK: 1024, Scale.TINY: 9},
+        stencils.jacobi_steps,
+        work=stencil_work(4),
     ),
     Program(
         "heat",

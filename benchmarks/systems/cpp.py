@@ -25,6 +25,7 @@ from benchmarks.constants import (
 from benchmarks.data import Arrays, aligned
 from benchmarks.fluids import FLUID_DT, SPREAD, fluid_outputs
 from benchmarks.solids import CG_ITERATIONS, DAMPING, LAMBDA, MOST_ITERATIONS, MU, SOLID_DT, TOLERANCE
+from benchmarks.stencils import JACOBI, WEIGHTS
 from benchmarks.systems import Prepared, Programs
 
 THREADS = int(os.environ["OMP_NUM_THREADS"])
@@ -131,6 +132,12 @@ def stencil(arrays: Arrays) -> Prepared:
     return alternate(there, back, old, new)
 
 
+def more_stencils(arrays: Arrays, name: str, *numbers: float) -> Prepared:
+    old, new = arrays["old"], arrays["new"]
+    there, back = (bind(name, len(old), a, b, *numbers, source="stencils.cpp") for a, b in ((old, new), (new, old)))
+    return alternate(there, back, old, new)
+
+
 def heat(arrays: Arrays) -> Prepared:
     old, new = arrays["old"], arrays["new"]
     given = (len(old), *(arrays[name] for name in ("first", "head", "weight", "rate")))
@@ -217,6 +224,9 @@ PROGRAMS: Programs = {
     "streaming": streaming,
     "captured": captured,
     "stencil": stencil,
+    "stencil-27": lambda arrays: more_stencils(arrays, "stencil27", *WEIGHTS),
+    "stencil-periodic": lambda arrays: more_stencils(arrays, "periodic", STENCIL_CENTER, STENCIL_SIDE),
+    "jacobi": lambda arrays: more_stencils(arrays, "jacobi", JACOBI),
     "heat": heat,
     "pcg": pcg,
     "particles": particles,

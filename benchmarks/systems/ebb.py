@@ -14,7 +14,7 @@ from benchmarks.constants import AXPY_FACTOR, DT, PARTICLE_DT, PCG_ITERATIONS, S
 from benchmarks.data import Arrays
 from benchmarks.fluids import fluid_outputs
 from benchmarks.solids import CG_ITERATIONS, DAMPING, DENSITY, GRAVITY, POISSON, SOLID_DT, TOLERANCE, YOUNG
-from benchmarks.systems import Prepared, Programs
+from benchmarks.systems import Prepared, Programs, ebb_stencils
 from ebb.domains import TetMesh
 
 if os.environ["BENCHMARKS_SYSTEM"] == "reference":
@@ -348,6 +348,7 @@ def solid(arrays: Arrays) -> Prepared:
 
 
 PROGRAMS: Programs = {
+    **ebb_stencils.PROGRAMS,
     "fluid": fluid,
     "solid-assembly": solid_assembly,
     "solid-solver": solid_solver,

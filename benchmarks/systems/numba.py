@@ -15,6 +15,7 @@ from numba import njit, prange
 
 from benchmarks.constants import AXPY_FACTOR, DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
 from benchmarks.data import Arrays, aligned
+from benchmarks.stencils import JACOBI, WEIGHTS
 from benchmarks.systems import Prepared, Programs
 
 OPTIONS = {"fastmath": True, "error_model": "numpy", "cache": True}
@@ -119,13 +120,52 @@ def relax(old, new, center, side):
                 new[i, j, k] = center * old[i, j, k] + side * (sides + old[i, j, k - 1] + old[i, j, k + 1])
 
 
-def stencil(arrays: Arrays) -> Prepared:
+@jit
+def relax27(old, new, w0, w1, w2, w3):
+    for i in prange(1, old.shape[0] - 1):
+        for j in range(1, old.shape[1] - 1):
+            for k in range(1, old.shape[2] - 1):
+                total = w0 * old[i, j, k] + w1 * (old[i, j, k - 1] + old[i, j, k + 1] + faces(old, i, j, k))
+                total += w2 * (faces(old, i, j, k - 1) + faces(old, i, j, k + 1) + corners(old, i, j, k))
+                new[i, j, k] = total + w3 * (corners(old, i, j, k - 1) + corners(old, i, j, k + 1))
+
+
+@serial
+def faces(old, i, j, k):
+    return old[i - 1, j, k] + old[i + 1, j, k] + old[i, j - 1, k] + old[i, j + 1, k]
+
+
+@serial
+def corners(old, i, j, k):
+    return old[i - 1, j - 1, k] + old[i - 1, j + 1, k] + old[i + 1, j - 1, k] + old[i + 1, j + 1, k]
+
+
+@jit
+def relax_around(old, new, center, side):
+    n = old.shape[0]
+    for i in prange(n):
+        for j in range(n):
+            below, above = old[(i - 1) % n, j], old[(i + 1) % n, j]
+            left, right, own = old[i, (j - 1) % n], old[i, (j + 1) % n], old[i, j]
+            for k in range(n):
+                before, after = own[k - 1 if k > 0 else n - 1], own[k + 1 if k < n - 1 else 0]
+                new[i, j, k] = center * own[k] + side * (below[k] + above[k] + left[k] + right[k] + before + after)
+
+
+@jit
+def relax_plane(old, new, side):
+    for i in prange(1, old.shape[0] - 1):
+        for j in range(1, old.shape[1] - 1):
+            new[i, j] = side * (old[i - 1, j] + old[i + 1, j] + old[i, j - 1] + old[i, j + 1])
+
+
+def stencil(arrays: Arrays, kernel: Callable[..., None], *numbers: float) -> Prepared:
     state = [arrays["old"], arrays["new"]]
-    center, side = np.float32(STENCIL_CENTER), np.float32(STENCIL_SIDE)
+    given = [np.float32(number) for number in numbers]
 
     def run(steps: int) -> None:
         for _ in range(steps):
-            relax(*state, center, side)
+            kernel(*state, *given)
             state.reverse()
 
     return Prepared(run, lambda: {"old": state[0]})
@@ -211,7 +251,10 @@ PROGRAMS: Programs = {
     "scatter": lambda arrays: springs(arrays, scatter, "tail", "head"),
     "both-ends": lambda arrays: springs(arrays, scatter_to_both, "tail", "head"),
     "streaming": streaming,
-    "stencil": stencil,
+    "stencil": lambda arrays: stencil(arrays, relax, STENCIL_CENTER, STENCIL_SIDE),
+    "stencil-27": lambda arrays: stencil(arrays, relax27, *WEIGHTS),
+    "stencil-periodic": lambda arrays: stencil(arrays, relax_around, STENCIL_CENTER, STENCIL_SIDE),
+    "jacobi": lambda arrays: stencil(arrays, relax_plane, JACOBI),
     "heat": heat,
     "pcg": pcg,
 }

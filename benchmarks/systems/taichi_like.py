@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.constants import AXPY_FACTOR, DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
 from benchmarks.data import Arrays
+from benchmarks.stencils import JACOBI, WEIGHTS
 from benchmarks.systems import Prepared, Programs
 
 ti: Any = importlib.import_module(os.environ["BENCHMARKS_SYSTEM"])
@@ -122,11 +123,57 @@ def relax(old: Field, new: Field, center: ti.f32, side: ti.f32):
                 new[i, j, k] = center * old[i, j, k] + side * (sides + old[i, j, k - 1] + old[i, j, k + 1])
 
 
-def stencil(arrays: Arrays) -> Prepared:
-    state = [field(arrays["old"]), field(arrays["new"])]
+@ti.func
+def faces(old: ti.template(), i, j, k):
+    return old[i - 1, j, k] + old[i + 1, j, k] + old[i, j - 1, k] + old[i, j + 1, k]
+
+
+@ti.func
+def corners(old: ti.template(), i, j, k):
+    return old[i - 1, j - 1, k] + old[i - 1, j + 1, k] + old[i + 1, j - 1, k] + old[i + 1, j + 1, k]
+
+
+@ti.kernel
+def relax27(old: Field, new: Field, w0: ti.f32, w1: ti.f32, w2: ti.f32, w3: ti.f32):
+    for i in range(1, old.shape[0] - 1):
+        for j in range(1, old.shape[1] - 1):
+            for k in range(1, old.shape[2] - 1):
+                total = w0 * old[i, j, k] + w1 * (old[i, j, k - 1] + old[i, j, k + 1] + faces(old, i, j, k))
+                total += w2 * (faces(old, i, j, k - 1) + faces(old, i, j, k + 1) + corners(old, i, j, k))
+                new[i, j, k] = total + w3 * (corners(old, i, j, k - 1) + corners(old, i, j, k + 1))
+
+
+@ti.kernel
+def relax_around(old: Field, new: Field, center: ti.f32, side: ti.f32):
+    for i in range(old.shape[0]):
+        n = old.shape[0]
+        for j in range(n):
+            for k in range(n):
+                sides = old[(i - 1) % n, j, k] + old[(i + 1) % n, j, k]
+                sides += old[i, (j - 1) % n, k] + old[i, (j + 1) % n, k]
+                sides += old[i, j, (k - 1) % n] + old[i, j, (k + 1) % n]
+                new[i, j, k] = center * old[i, j, k] + side * sides
+
+
+@ti.kernel
+def relax_plane(old: Field, new: Field, side: ti.f32):
+    for i in range(1, old.shape[0] - 1):
+        for j in range(1, old.shape[1] - 1):
+            new[i, j] = side * (old[i - 1, j] + old[i + 1, j] + old[i, j - 1] + old[i, j + 1])
+
+
+def numbers_of(values: np.ndarray) -> Any:
+    """A dense field of numbers, of any number of dimensions."""
+    made = ti.field(ti.f32, shape=values.shape)
+    made.from_numpy(values)
+    return made
+
+
+def stencil(arrays: Arrays, kernel: Callable[..., None], *numbers: float) -> Prepared:
+    state = [numbers_of(arrays["old"]), numbers_of(arrays["new"])]
 
     def step() -> None:
-        relax(*state, STENCIL_CENTER, STENCIL_SIDE)
+        kernel(*state, *numbers)
         state.reverse()
 
     return Prepared(repeat(step), lambda: {"old": state[0].to_numpy()})
@@ -213,7 +260,10 @@ PROGRAMS: Programs = {
     "scatter": lambda arrays: springs(arrays, scatter, "tail"),
     "both-ends": lambda arrays: springs(arrays, scatter_to_both, "tail"),
     "streaming": streaming,
-    "stencil": stencil,
+    "stencil": lambda arrays: stencil(arrays, relax, STENCIL_CENTER, STENCIL_SIDE),
+    "stencil-27": lambda arrays: stencil(arrays, relax27, *WEIGHTS),
+    "stencil-periodic": lambda arrays: stencil(arrays, relax_around, STENCIL_CENTER, STENCIL_SIDE),
+    "jacobi": lambda arrays: stencil(arrays, relax_plane, JACOBI),
     "heat": heat,
     "pcg": pcg,
 }

@@ -7,6 +7,7 @@ import warp as wp
 
 from benchmarks.constants import AXPY_FACTOR, DT, PCG_ITERATIONS, STENCIL_CENTER, STENCIL_SIDE, STIFFNESS
 from benchmarks.data import Arrays
+from benchmarks.stencils import JACOBI
 from benchmarks.systems import Prepared, Programs
 
 wp.config.quiet = True
@@ -17,6 +18,7 @@ wp.init()
 kernel = wp.kernel(module="unique", enable_backward=False, module_options={"fast_math": True})
 Vectors, Floats, Integers = wp.array(dtype=wp.vec3), wp.array(dtype=float), wp.array(dtype=int)
 Doubles, Grid = wp.array(dtype=wp.float64), wp.array3d(dtype=float)
+Plane = wp.array2d(dtype=float)
 
 
 def version() -> str:
@@ -126,13 +128,21 @@ def relax(old: Grid, fresh: Grid, center: float, side: float):
     fresh[i, j, k] = center * old[i, j, k] + side * (sides + old[i, j, k - 1] + old[i, j, k + 1])
 
 
-def stencil(arrays: Arrays) -> Prepared:
+@kernel
+def relax_plane(old: Plane, fresh: Plane, side: float):
+    a, b = wp.tid()
+    i = a + 1
+    j = b + 1
+    fresh[i, j] = side * (old[i - 1, j] + old[i + 1, j] + old[i, j - 1] + old[i, j + 1])
+
+
+def stencil(arrays: Arrays, relaxing: wp.Kernel, *numbers: float) -> Prepared:
     state = [wp.array(arrays[name], dtype=float, device="cpu") for name in ("old", "new")]
     inner = tuple(n - 2 for n in arrays["old"].shape)
 
     def run(steps: int) -> None:
         for _ in range(steps):
-            launch(relax, inner, *state, STENCIL_CENTER, STENCIL_SIDE)
+            launch(relaxing, inner, *state, *numbers)
             state.reverse()
 
     return Prepared(run, lambda: {"old": state[0].numpy()})
@@ -230,7 +240,8 @@ PROGRAMS: Programs = {
     "both-ends": lambda arrays: springs(arrays, scatter_to_both, "tail"),
     "streaming": streaming,
     "captured": captured,
-    "stencil": stencil,
+    "stencil": lambda arrays: stencil(arrays, relax, STENCIL_CENTER, STENCIL_SIDE),
+    "jacobi": lambda arrays: stencil(arrays, relax_plane, JACOBI),
     "heat": heat,
     "pcg": pcg,
 }

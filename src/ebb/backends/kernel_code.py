@@ -20,7 +20,7 @@ CodeT = TypeVar("CodeT")
 BindingT = TypeVar("BindingT", bound=Bound)
 """Code with what it takes, on one set of rows."""
 
-_MOST_CACHED = 48 << 20
+_MOST_CACHED = 32 << 20
 """The most bytes that a launch goes through for which stores wait in the cache for who reads them."""
 
 
