@@ -26,7 +26,8 @@ class ConjugateGradients(KrylovSolver):
 
     def _make_kernels(self) -> None:
         x, r, p, q = self._system.x.name, self._r, self._p, self._q
-        dot, apply, number = dot_of(self._system), self._preconditioning.apply, self._system.scalar
+        dot, number = dot_of(self._system), self._system.scalar
+        apply, again = self._preconditioning.apply, self._preconditioning.again
         go, curvature, after, square = self._go, self._product, self._inner, self._square
         begin, norm = self._progress.begin, self._norm
         self._before = before = ebb.Global(ebb.float64, 0.0)  # r.z of the iteration before
@@ -44,7 +45,7 @@ class ConjugateGradients(KrylovSolver):
         @ebb.kernel
         def turn(v: Any) -> None:
             if go.value > 0:
-                v[p] = apply(v, v[r]) + number(after.value / before.value) * v[p]
+                v[p] = again(v, v[r]) + number(after.value / before.value) * v[p]
 
         @ebb.kernel
         def begin_steps(s: Any) -> None:

@@ -110,13 +110,17 @@ def _product_kernel(
 
 @record(eq=False)
 class Preconditioning:
-    """A preconditioner. ``apply(v, r)`` is what it makes of a residual r at the row v, in kernels.
+    """A preconditioner.
 
-    ``prepare`` is launched at the start of a solve. Where ``compute`` is not None, it has to be launched when r has
-    changed, before a kernel that applies.
+    Attributes:
+        apply: ``f(v, r)`` of kernels: what it makes of a residual r at the row v, when r has changed.
+        again: ``f(v, r)``: the same once more, in a later kernel.
+        prepare: launched at the start of a solve, if not None.
+        compute: if not None, it has to be launched when r has changed, before a kernel that applies.
     """
 
     apply: Function
+    again: Function
     prepare: Launches | None = None
     compute: Launches | None = None
 
@@ -129,18 +133,20 @@ def preconditioning(
     ``faults`` counts the rows of which ``prepare`` finds the diagonal not to be positive definite.
     """
     if given is None:
-        return Preconditioning(_same)
+        return Preconditioning(_same, _same)
     if callable(given):
         field = system.work(f"{prefix}_z")
-        return Preconditioning(_taken_from(field), compute=lambda: _launch(given, residual, field))
+        taken = _taken_from(field)
+        return Preconditioning(taken, taken, compute=lambda: _launch(given, residual, field))
     assert system.blocks is not None
     if given == "jacobi" or not system.is_vector:
         stored = system.work(f"{prefix}_inverse")
         kernel, apply = _inverted_diagonal(system, system.blocks, stored, faults), _multiplying_by(stored)
-    else:
-        stored = system.work(f"{prefix}_inverses", system.blocks.matrix.type)
-        kernel, apply = _inverted_blocks(system, system.blocks, stored, faults), _applying(stored)
-    return Preconditioning(apply, prepare=lambda: kernel(system.rows))
+        return Preconditioning(apply, apply, prepare=lambda: kernel(system.rows))
+    # What a block makes of a residual is kept: to read it takes less than to read the block once more.
+    stored, field = system.work(f"{prefix}_inverses", system.blocks.matrix.type), system.work(f"{prefix}_z")
+    invert = _inverted_blocks(system, system.blocks, stored, faults)
+    return Preconditioning(_applying(stored, field), _taken_from(field), prepare=lambda: invert(system.rows))
 
 
 def _launch(given: Callable[[str, str], object], source: str, target: str) -> None:
@@ -219,10 +225,12 @@ def _multiplying_by(stored: str) -> Function:
     return apply
 
 
-def _applying(stored: str) -> Function:
+def _applying(stored: str, field: str) -> Function:
     @ebb.func
     def apply(v: Any, r: Any) -> Any:
-        return v[stored] @ r
+        z = v[stored] @ r
+        v[field] = z
+        return z
 
     return apply
 

@@ -195,11 +195,11 @@ class KrylovSolver:
         return begin, find_residual, clear
 
     def _measuring_kernel(self) -> ebb.Kernel:
-        r, inner, dot, apply = self._r, self._inner, dot_of(self._system), self._preconditioning.apply
+        r, inner, dot, again = self._r, self._inner, dot_of(self._system), self._preconditioning.again
 
         @ebb.kernel
         def measure(v: Any) -> None:
-            inner.value += dot(v[r], apply(v, v[r]))
+            inner.value += dot(v[r], again(v, v[r]))
 
         return measure
 

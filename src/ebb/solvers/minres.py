@@ -57,13 +57,13 @@ class MINRES(KrylovSolver):
     def _vector_kernels(self) -> tuple[ebb.Kernel, ebb.Kernel]:
         r, p, q, before, w, w_before = self._r, self._p, self._q, self._before, self._w, self._w_before
         residual, unknown, number = self._residual, self._system.x.type, self._system.scalar
-        dot, apply = dot_of(self._system), self._preconditioning.apply
+        dot, apply, again = dot_of(self._system), self._preconditioning.apply, self._preconditioning.again
         go, delta, inner, scalars = self._go, self._product, self._inner, self._scalars
 
         @ebb.kernel
         def start(v: Any) -> None:
             v[residual] = v[r]
-            v[p] = apply(v, v[r]) / number(ebb.sqrt(inner.value))
+            v[p] = again(v, v[r]) / number(ebb.sqrt(inner.value))
             v[before] = ebb.zeros(unknown)
             v[w] = ebb.zeros(unknown)
             v[w_before] = ebb.zeros(unknown)
@@ -83,7 +83,7 @@ class MINRES(KrylovSolver):
         x, r, p, w, w_before, residual = (
             self._system.x.name, self._r, self._p, self._w, self._w_before, self._residual,
         )  # fmt: skip
-        number, dot, apply = self._system.scalar, dot_of(self._system), self._preconditioning.apply
+        number, dot, again = self._system.scalar, dot_of(self._system), self._preconditioning.again
         go, square, scalars = self._go, self._square, self._scalars
 
         @ebb.kernel
@@ -97,7 +97,7 @@ class MINRES(KrylovSolver):
                 left = number(k[_SHRINK]) * v[residual] + number(k[_TURN]) * v[r]
                 v[residual] = left
                 square.value += dot(left, left)
-                v[p] = apply(v, v[r]) / number(k[_GAMMA])
+                v[p] = again(v, v[r]) / number(k[_GAMMA])
 
         return move
 
