@@ -391,6 +391,17 @@ def test_rest_needs_fixed_vertices():
             body.find_rest()
 
 
+def test_newtons_iteration_that_does_not_converge():
+    mesh = box(2, 1, 1)
+    body = fem.SoftBody(mesh, fem_stvk.LAW, [RUBBER], fixed=side(mesh))
+    body.set_load((0.0, -200.0, 0.0))
+    before = state(body)
+    with pytest.raises(fem.StepError, match="Newton's iteration does not converge in 2 iterations"):
+        body.step(0.1, newton=2, newton_tolerance=1e-12)
+    np.testing.assert_array_equal(state(body), before)
+    assert body.step(0.1, newton=20, newton_tolerance=1e-12).newton > 2
+
+
 def test_failed_steps_leave_the_state_as_it_was():
     # What is squashed this much gives way: its stiffness is not positive.
     mesh = box(2, 1, 1)
