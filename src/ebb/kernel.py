@@ -43,6 +43,7 @@ from ebb.launch import Launch, Specialisation
 from ebb.records import field, record, replace
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
+from ebb.runtime.collection import uncollected
 from ebb.runtime.recording import suspended
 from ebb.types.types import Type
 
@@ -267,7 +268,8 @@ class Kernel:
 
     def _specialise(self, relation: Relation, types: _Types) -> Specialisation:
         try:
-            return self._compile(relation, types)
+            with uncollected():
+                return self._compile(relation, types)
         except RecursionError:
             raise KernelSyntaxError(TooDeep(self._name)) from None
 

@@ -13,6 +13,7 @@ from ebb.compiler.scatter.step import Step
 from ebb.records import record
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
+from ebb.runtime.collection import uncollected
 
 CodeT = TypeVar("CodeT")
 """What a program is compiled to and loaded as."""
@@ -101,8 +102,9 @@ class KernelCode(Generic[CodeT, BindingT]):
     def _compile(self, launched: Launched, stores: lir.Stores, state: State) -> tuple[lir.Program, CodeT]:
         found = self._compiled.get((launched, stores, state))
         if found is None:
-            program = self._lowering.lower(self._step, self._sources.facts(state), launched, stores)
-            found = self._compiled[launched, stores, state] = program, self._load(program)
+            with uncollected():
+                program = self._lowering.lower(self._step, self._sources.facts(state), launched, stores)
+                found = self._compiled[launched, stores, state] = program, self._load(program)
         return found
 
 
