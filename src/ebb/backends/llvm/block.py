@@ -128,7 +128,7 @@ class _BlockEmitter(StatementEmitter):
             elif loop.inside is not None:
                 emit_line(self, loop, metadata)
             elif (plan := plan_rare(loop)) is not None:
-                emit_rare(self, loop, plan, self.bounds(d), metadata)
+                emit_rare(self, loop, plan, self.bounds(d))
             else:
                 self.count(index[d], *self.bounds(d), loop.body, metadata)
             return

@@ -25,6 +25,9 @@ MOST_STATEMENTS = 250
 PART = 1024
 """So many rows are looked at, then run: what is loaded for the conditions is then still in the nearest cache."""
 
+LANES = 16
+"""How many rows run together: those beyond the last so many of a part run one by one."""
+
 
 @record(eq=False)
 class RarePlan:
@@ -73,7 +76,7 @@ def _noted(stmt: lir.If, number: int) -> Iterator[lir.Stmt]:
     """What notes that ``stmt`` does something; ``number`` is that of the statement among those that are rare."""
     condition = stmt.condition
     if not stmt.then:
-        condition = lir.Temp(-1 - number, bool_)
+        condition = lir.Temp(-3 - number, bool_)
         yield lir.Let(condition, lir.Unary("not", stmt.condition))
     yield lir.Accumulate(_HAPPENS, lir.Literal(0, int64), "|", condition)
 
@@ -130,6 +133,8 @@ class Emitter(Protocol):
     """What emits the loops."""
 
     w: FunctionWriter
+    access_group: str | None
+    temps: dict[int, str]
 
     def load_var(self, var: lir.Var, index: str) -> str:
         """A component of a variable."""
@@ -143,36 +148,70 @@ class Emitter(Protocol):
         """A loop whose turns are counted, with ``metadata`` at its end."""
         ...
 
+    def loop_notes(self, *notes: str) -> str:
+        """The metadata that says so of a loop."""
+        ...
 
-def emit_rare(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, str], metadata: str) -> None:
-    """The innermost loop of ``loop``, from one of ``bounds`` to the other; ``metadata`` says that rows are parallel."""
-    w, (low, high) = e.w, bounds
-    head, part, latch, done = (w.fresh(stem) for stem in ("head", "part", "latch", "done"))
-    before, stop = w.label, f"%{w.fresh('stop')}"
-    w.branch(head)
-    w.start(head)
-    first = w.emit(f"phi i64 [ {low}, %{before} ], [ {stop}, %{latch} ]")
-    w.branch_if(w.emit(f"icmp slt i64 {first}, {high}"), part, done)
-    w.start(part)
+
+_ONCE = '!"llvm.loop.unroll.disable"'
+_ONE_BY_ONE = ('!"llvm.loop.vectorize.enable", i1 false', _ONCE)
+"""Each loop is compiled in one form alone, of vectors or of single rows: more take long to compile."""
+
+_FIRST, _LANE = lir.Temp(-1, int64), lir.Temp(-2, int64)
+
+
+def emit_rare(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, str]) -> None:
+    """The innermost loop of ``loop``, from one of ``bounds`` to the other."""
+    w, (low, high), counter = e.w, bounds, loop.index[-1]
+    first, part = _begin(e, low, high, PART)
     end = w.emit(f"add nsw i64 {first}, {PART}")
-    w.do(f"{stop} = select i1 {w.emit(f'icmp slt i64 {end}, {high}')}, i64 {end}, i64 {high}")
-    _emit_part(e, loop, plan, (first, stop), metadata)
-    w.branch(latch)
-    w.start(latch)
-    w.branch(head)
-    w.start(done)
-
-
-def _emit_part(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, str], metadata: str) -> None:
-    w, counter = e.w, loop.index[-1]
+    last = w.emit(f"select i1 {w.emit(f'icmp slt i64 {end}, {high}')}, i64 {end}, i64 {high}")
+    whole = w.emit(f"and i64 {w.emit(f'sub nsw i64 {last}, {first}')}, {-LANES}")
+    rest = w.emit(f"add nsw i64 {first}, {whole}")
     e.declare(_HAPPENS)
-    e.count(counter, *bounds, plan.ahead)
-    smooth, one_by_one, done = (w.fresh(stem) for stem in ("smooth", "rare", "done"))
-    w.branch_if(e.load_var(_HAPPENS, "0"), one_by_one, smooth)
-    w.start(smooth)
-    e.count(counter, *bounds, plan.smooth, metadata)
-    w.branch(done)
-    w.start(one_by_one)
-    e.count(counter, *bounds, loop.body)
-    w.branch(done)
-    w.start(done)
+    _emit_lanes(e, counter, (first, rest), plan.ahead)
+    rest = w.emit(f"select i1 {e.load_var(_HAPPENS, '0')}, i64 {first}, i64 {rest}")
+    _emit_lanes(e, counter, (first, rest), plan.smooth)
+    e.count(counter, rest, last, loop.body, e.loop_notes(*_ONE_BY_ONE))
+    _end(e, part)
+
+
+def _emit_lanes(e: Emitter, counter: lir.Temp, bounds: tuple[str, str], body: lir.Body) -> None:
+    """A loop with ``body``, so many rows at once as there are lanes: their number is a multiple of that."""
+    first, outer = _begin(e, *bounds, LANES)
+    e.temps[_FIRST.number] = first
+    row = lir.Let(counter, lir.Binary("+", _FIRST, _LANE))
+    parallel = f'!"llvm.loop.parallel_accesses", {e.access_group}'
+    e.count(_LANE, "0", str(LANES), (row, *body), e.loop_notes(parallel, _ONCE))
+    _end(e, outer)
+
+
+@record(eq=False)
+class _Outer:
+    """A loop in the writing, by its labels."""
+
+    head: str
+    latch: str
+    done: str
+
+
+def _begin(e: Emitter, low: str, high: str, step: int) -> tuple[str, _Outer]:
+    """Begins a loop from ``low`` on while below ``high``; gives its counter."""
+    w = e.w
+    outer, turn = _Outer(*(w.fresh(stem) for stem in ("head", "latch", "done"))), w.fresh("turn")
+    before, following = w.label, f"%{w.fresh('next')}"
+    w.branch(outer.head)
+    w.start(outer.head)
+    counter = w.emit(f"phi i64 [ {low}, %{before} ], [ {following}, %{outer.latch} ]")
+    w.branch_if(w.emit(f"icmp slt i64 {counter}, {high}"), turn, outer.done)
+    w.start(turn)
+    w.do(f"{following} = add nsw i64 {counter}, {step}")
+    return counter, outer
+
+
+def _end(e: Emitter, outer: _Outer) -> None:
+    w = e.w
+    w.branch(outer.latch)
+    w.start(outer.latch)
+    w.branch(outer.head)
+    w.start(outer.done)

@@ -199,7 +199,9 @@ def _wrapped(ctx: Context, asked: lir.Value, extent: lir.Value) -> lir.Value:
     b.store_var(wrapped, 0, near)
     with b.body() as beyond:
         b.store_var(wrapped, 0, b.binary("%", asked, extent))
-    b.add(lir.If(b.outside(near, extent), tuple(beyond), ()))
+    # From a period below to one above: in one comparison, as in ``outside``.
+    periods = b.binary("+", extent, b.binary("+", extent, extent))
+    b.add(lir.If(b.outside(b.binary("+", asked, extent), periods), tuple(beyond), ()))
     return b.load_var(wrapped)
 
 
