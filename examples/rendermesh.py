@@ -1,15 +1,19 @@
 """A fine surface follows a coarse solid.
 
 Two meshes, coupled by a key field (Bernstein et al. 2015, "Coupling Domains"): each vertex of the fine surface has the
-key of the tetrahedron that holds it, and four weights. The solid is twisted; a kernel over the surface gathers where
-its vertices go, and another their normals.
+key of the tetrahedron that holds it, and four weights. A kernel over the surface gathers where its vertices go, and
+another their normals. The solid is twisted, or with ``--motion sway`` it is a soft body of finite elements (fem.py),
+which is held at its foot and pulled to the side by its weight.
 
     python examples/rendermesh.py --save out/rendermesh.png
-    python examples/rendermesh.py --mesh bunny --save out/rendermesh.png
+    python examples/rendermesh.py --mesh bunny --motion sway --save out/bunny.png
+    python examples/rendermesh.py --mesh dragon_surface.off --solid dragon.veg --motion sway --save out/dragon.png
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -18,11 +22,19 @@ import typer
 from rich.console import Console
 
 import ebb
+import fem
+import fem_neohookean
 from bodies import bunny_scan, fitted, what_bunny_lacks
 from ebb.domains import TetMesh, TriMesh
 from pictures import CLAY, Surface, save_strip
 
 SLATE = np.array([0.55, 0.64, 0.70])
+
+# Of the soft body, for one of the length 1: a tenth of it, at the bottom, is held.
+RUBBER = fem.Material(young=1.2e5, poisson=0.4, density=1000.0)
+HELD = 0.1
+PULL = np.array([9.81, 0.0, -9.81])
+MOMENTS = 4
 
 farthest = ebb.Global(ebb.float64, 0.0)
 
@@ -43,6 +55,14 @@ def follow(s):
 
 
 @ebb.kernel
+def follow_body(s):
+    shift = ebb.zeros(ebb.vec3d)
+    for i in range(4):
+        shift += s.weights[i] * s.tet.v[i].q  # which is a displacement here
+    s.q = s.pos + ebb.vec3f(shift)
+
+
+@ebb.kernel
 def find_normals(s):
     total = ebb.zeros(ebb.vec3f)
     for t in s.triangles:
@@ -55,9 +75,21 @@ def measure_distance(s):
     farthest.value = max(farthest.value, ebb.length(s.q - s.pos))
 
 
+class Motion(StrEnum):
+    """What the solid does."""
+
+    TWIST = "twist"
+    SWAY = "sway"
+
+
 def couple(skin: TriMesh, solid: TetMesh) -> None:
-    """Give both meshes their fields: ``q`` is where a vertex is, ``tet`` and ``weights`` tie the skin to the solid."""
+    """Give both meshes their fields: ``q`` is where a vertex is, and the skin is tied to the solid."""
     solid.vertices.new_field("q", ebb.vec3f, init=solid.vertices.pos)
+    tie(skin, solid)
+
+
+def tie(skin: TriMesh, solid: TetMesh) -> None:
+    """Give the skin its fields: ``tet`` and ``weights`` say where in the solid it is, ``q`` where it is now."""
     rows, weights = solid.embed(skin.vertices.pos.to_numpy())
     skin.vertices.new_field("tet", solid.tetrahedra, init=rows)
     skin.vertices.new_field("weights", ebb.vec4f, init=weights)
@@ -72,6 +104,26 @@ def deform(skin: TriMesh, solid: TetMesh, turns: float) -> None:
     find_normals(skin.vertices)
 
 
+def soft_body(solid: TetMesh) -> fem.SoftBody:
+    """A body of rubber that is held at its foot and pulled to the side; it is as stiff as is right for its size."""
+    points = solid.vertices.pos.to_numpy()
+    low, size = points[:, 2].min(), float(np.ptp(points, axis=0).max())
+    held = np.flatnonzero(points[:, 2] < low + HELD * np.ptp(points[:, 2]))
+    rubber = fem.Material(RUBBER.young * size, RUBBER.poisson, RUBBER.density)
+    body = fem.SoftBody(solid, fem_neohookean.LAW, [rubber], fixed=held, damping=fem.Damping(0.0, 0.01))
+    body.set_load(PULL)
+    return body
+
+
+def sway(skin: TriMesh, body: fem.SoftBody, steps: int, dt: float) -> Iterator[int]:
+    """Let the body move, and the skin with it, and give the number of each step that is done."""
+    for number in range(1, steps + 1):
+        body.step(dt, newton=10)
+        follow_body(skin.vertices)
+        find_normals(skin.vertices)
+        yield number
+
+
 def distance(skin: TriMesh) -> float:
     """How far the vertex of the skin that is farthest from its first place is from it, in metres."""
     farthest.value = 0.0
@@ -79,8 +131,8 @@ def distance(skin: TriMesh) -> float:
     return farthest.value
 
 
-def load_skin(name: str, console: Console) -> TriMesh:
-    """A torus on its edge, the bunny, or the closed surface of a file, 1 m along its longest side."""
+def load_skin(name: str, console: Console, fit: bool = True) -> TriMesh:
+    """A torus on its edge, the bunny, or the surface of a file, 1 m along its longest side if ``fit``."""
     if name == "bunny":
         lacking = what_bunny_lacks()
         if lacking is None:
@@ -88,52 +140,81 @@ def load_skin(name: str, console: Console) -> TriMesh:
             return TriMesh.from_arrays(fitted(points), triangles)
         console.print(f'The bunny needs {lacking} (pip install "ebblang[viz]"): a torus is twisted.', markup=False)
         name = "torus"
-    surface = TriMesh.torus(1.0, 0.42, 240, 100) if name == "torus" else TriMesh.load(name)
+    surface = TriMesh.torus(1.0, 0.42, 240, 100) if name == "torus" else TriMesh.load(name, manifold=False)
     points, triangles = surface.vertices.pos.to_numpy(), surface.triangles.v.to_numpy()
     if name == "torus":
         points = points[:, [0, 2, 1]] * [1, -1, 1]
-    return TriMesh.from_arrays(fitted(points), triangles)
+    return TriMesh.from_arrays(fitted(points) if fit else points, triangles, manifold=False)
 
 
-def shown(skin: TriMesh, solid: TetMesh) -> list[Surface]:
-    """The boundary of the solid, with its facets, and the skin, both as they are now."""
+def load_solid(skin: TriMesh, name: str | None, resolution: int, motion: Motion) -> TetMesh:
+    """The solid of a file, or the skin filled with tetrahedra, of which so many lie along its longest side."""
+    options = {"self_edges": True, "precision": ebb.float64} if motion is Motion.SWAY else {}
+    if name is not None:
+        return TetMesh.load(name, **options)
+    return TetMesh.from_surface(skin, resolution=resolution, **options)
+
+
+def shown(skin: TriMesh, solid: TetMesh, place: np.ndarray) -> list[Surface]:
+    """The boundary of the solid, with its facets, whose vertices are at ``place``, and the skin as it is now."""
     floor = [0, 0, solid.vertices.pos.to_numpy()[:, 2].min()]
-    facets = solid.vertices.q.to_numpy()[solid.triangles.v.to_numpy()].reshape(-1, 3)
+    facets = place[solid.triangles.v.to_numpy()].reshape(-1, 3)
     return [
         Surface(facets - floor, np.arange(len(facets)).reshape(-1, 3), SLATE),
         Surface(skin.vertices.q.to_numpy() - floor, skin.triangles.v.to_numpy(), CLAY),
     ]
 
 
+def run(motion: Motion, skin: TriMesh, solid: TetMesh, turns: float, steps: int, dt: float) -> list[Surface]:
+    """Move the solid, and the skin with it; what there is to see of it, at moments."""
+    if motion is Motion.TWIST:
+        couple(skin, solid)
+        moments = []
+        for share in (0.0, 1.0):
+            deform(skin, solid, share * turns)
+            moments += shown(skin, solid, solid.vertices.q.to_numpy())
+        return moments
+    body = soft_body(solid)
+    tie(skin, solid)
+    rest = solid.vertices.pos.to_numpy()
+    moments = shown(skin, solid, rest)
+    for number in sway(skin, body, steps, dt):
+        if number * (MOMENTS - 1) % steps < MOMENTS - 1:
+            moments += shown(skin, solid, rest + solid.vertices.q.to_numpy())
+    return moments
+
+
 def main(
-    mesh: Annotated[str, typer.Option(help="torus, bunny, or the file of a closed surface")] = "torus",
+    mesh: Annotated[str, typer.Option(help="torus, bunny, or the file of a surface, closed if there is no solid")] = (
+        "torus"
+    ),
+    solid: Annotated[str | None, typer.Option(help="the file of a solid that holds the surface of the file")] = None,
     resolution: Annotated[int, typer.Option(help="tetrahedra of the solid along its longest side", min=1)] = 12,
+    motion: Annotated[Motion, typer.Option(help="twist: about the z axis; sway: a soft body")] = Motion.TWIST,
     turns: Annotated[float, typer.Option(help="how far the solid is twisted, in turns a metre")] = 0.2,
+    steps: Annotated[int, typer.Option(help="of the soft body", min=1)] = 45,
+    dt: Annotated[float, typer.Option(help="seconds a step of the soft body", min=1e-6)] = 0.01,
     backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
     threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the skin (.vtu, .vtk, .ply, .off)")] = None,
 ) -> None:
-    """Twist a coarse solid, and let a fine surface follow."""
+    """Move a coarse solid, and let a fine surface follow."""
     console = Console(highlight=False)
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
-        skin = load_skin(mesh, console)
-        solid = TetMesh.from_surface(skin, resolution=resolution)
-        console.print(f"{skin.vertices.size} points of the skin in {solid.tetrahedra.size} tetrahedra")
-        couple(skin, solid)
-        deform(skin, solid, 0.0)
-        console.print(f"untwisted, the skin is off by {distance(skin):.2g} m at most")
-        moments = shown(skin, solid)
-        deform(skin, solid, turns)
-        console.print(f"twisted by {turns:g} turns a metre, it has moved by {distance(skin):.3g} m at most")
-        moments += shown(skin, solid)
+        skin = load_skin(mesh, console, fit=solid is None)
+        body = load_solid(skin, solid, resolution, motion)
+        console.print(f"{skin.vertices.size} points of the skin in {body.tetrahedra.size} tetrahedra")
+        moments = run(motion, skin, body, turns, steps, dt)
+        how = f"{turns:g} turns a metre" if motion is Motion.TWIST else f"{steps} steps of {dt:g} s"
+        console.print(f"after {how}, the skin has moved by {distance(skin):.3g} m at most")
         if save is not None and save.suffix == ".png":
             console.print(f"drawn by {save_strip(save, moments)}", markup=False)
         elif save is not None:
             skin.save(save, positions="q", fields=["normal"] if save.suffix in (".vtu", ".vtk") else [])
         if save is not None:
             console.print(f"saved {save}")
-    except ebb.EbbError as error:
+    except (ebb.EbbError, fem.StepError) as error:
         raise SystemExit(str(error)) from None
 
 

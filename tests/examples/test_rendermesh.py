@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
+import ebb
 import rendermesh
 from ebb.domains import TetMesh, TriMesh
 
@@ -85,3 +86,42 @@ def test_the_torus_stands_upright():
     points = rendermesh.load_skin("torus", Console(quiet=True)).vertices.pos.to_numpy()
     assert np.ptp(points, axis=0) == pytest.approx([1, 0.296, 1], abs=0.01)
     assert points[:, 2].min() == pytest.approx(0, abs=1e-6)
+
+
+def soft_pair():
+    skin = TriMesh.icosphere(2)
+    solid = TetMesh.from_surface(skin, resolution=4, self_edges=True, precision=ebb.float64)
+    body = rendermesh.soft_body(solid)
+    rendermesh.tie(skin, solid)
+    return skin, body
+
+
+def test_the_skin_of_a_soft_body_follows_linear_maps_exactly():
+    skin, body = soft_pair()
+    matrix, shift = np.array([[1, 0.5, 0], [0, 2, 0.25], [-1, 0, 1]]), np.array([3, -1, 2])
+    rest = body.mesh.vertices.pos.to_numpy()
+    body.mesh.vertices.q.load(rest @ matrix.T + shift - rest)
+    rendermesh.follow_body(skin.vertices)
+    expected = skin.vertices.pos.to_numpy() @ matrix.T + shift
+    assert skin.vertices.q.to_numpy() == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_soft_body_sways_and_its_foot_stays():
+    skin, body = soft_pair()
+    assert list(rendermesh.sway(skin, body, 6, 0.01)) == list(range(1, 7))
+    moved = skin.vertices.q.to_numpy() - skin.vertices.pos.to_numpy()
+    height = skin.vertices.pos.to_numpy()[:, 2]
+    assert moved[height > 0.8, 0].min() > 0.002  # to where it is pulled
+    assert np.abs(moved[height < -0.99]).max() < 0.1 * np.abs(moved).max()
+
+
+def test_the_program_of_a_soft_body(tmp_path):
+    app = typer.Typer()
+    app.command()(rendermesh.main)
+    TriMesh.icosphere(2).save(tmp_path / "sphere.off")
+    TetMesh.ball(2, 1.2).save(tmp_path / "ball.veg")
+    words = ["--mesh", str(tmp_path / "sphere.off"), "--solid", str(tmp_path / "ball.veg"), "--motion", "sway"]
+    result = CliRunner().invoke(app, [*words, "--steps", "3", "--save", str(tmp_path / "out.off")])
+    assert result.exit_code == 0, result.output
+    assert "162 points of the skin in 160 tetrahedra" in result.output
+    assert TriMesh.load(tmp_path / "out.off").triangles.size == 320
