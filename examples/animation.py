@@ -35,7 +35,7 @@ def draw_fluid(dye: np.ndarray, look: str, height: int) -> np.ndarray:
         height: of the picture; at least one pixel a cell, and as many for each.
     """
     if dye.ndim == 4:
-        lit = see_through(dye, 9.0 / dye.shape[1])
+        lit = see_through(dye, 24.0 / dye.shape[1])
     elif look == "ink":
         lit = PAPER * np.exp(-0.9 * dye @ ABSORBED)
     else:
@@ -56,7 +56,7 @@ def see_through(dye: np.ndarray, thickness: float) -> np.ndarray:
     """Smoke in space, seen along the second axis: an image of the shape (nx, nz, 3)."""
     amount = dye.sum(axis=-1)
     above = np.cumsum(amount[:, :, ::-1], axis=2)[:, :, ::-1] - amount
-    light = 0.18 + 0.82 * np.exp(-0.55 * thickness * above)
+    light = 0.3 + 0.7 * np.exp(-0.45 * thickness * above)
     color = dye @ GLOW / np.maximum(amount, 1e-9)[..., None] * light[..., None]
     opacity = 1 - np.exp(-1.4 * thickness * amount)
     seen, left = np.zeros((*color.shape[:1], *color.shape[2:])), np.ones((dye.shape[0], dye.shape[2]))

@@ -385,17 +385,23 @@ def blobs(places: np.ndarray, balls: tuple[tuple[Any, float, int], ...], softnes
     """For each place three amounts from 0 to 1: of the ink of each ball (its centre, radius and ink) that it is in."""
     amounts = np.zeros((*places.shape[:-1], 3))
     for center, radius, ink in balls:
-        distance = np.linalg.norm(places - np.asarray(center)[: places.shape[-1]], axis=-1)
+        distance = np.linalg.norm(places - np.asarray(center), axis=-1)
         amounts[..., ink] += 0.5 - 0.5 * np.tanh((distance - radius) / softness)
     return amounts
 
 
 def fill_smoke(fluid: Fluid) -> None:
-    """Three vents of warm smoke at the floor, each a little different, so that the plumes do not stay apart."""
-    places, ndim = centers(fluid.grid), len(fluid.grid.shape)
-    middle = (0.5,) * (ndim - 2)
-    vents = (((0.29, *middle, 0.10), 0.055, 0), ((0.52, *middle, 0.07), 0.050, 1), ((0.73, *middle, 0.12), 0.045, 2))
-    fluid.grid.cells.source.load(3.0 * blobs(places, vents, 0.008))
+    """Three vents of warm smoke at the floor, each a little different; in space, air that turns winds the plumes."""
+    places, strength, softness = centers(fluid.grid), 3.0, 0.008
+    if places.shape[-1] == 2:
+        vents = (((0.33, 0.10), 0.050, 0), ((0.53, 0.07), 0.045, 1), ((0.70, 0.12), 0.040, 2))
+    else:
+        vents = (((0.34, 0.42, 0.16), 0.09, 0), ((0.55, 0.66, 0.13), 0.08, 1), ((0.66, 0.36, 0.19), 0.07, 2))
+        strength, softness = 0.6, 0.025
+        x, y = pi * places[..., 0], pi * places[..., 1]
+        swirl = np.stack([-np.sin(x) * np.cos(y), np.cos(x) * np.sin(y), 0 * x], axis=-1)
+        fluid.grid.cells.vel.load(0.4 * swirl)
+    fluid.grid.cells.source.load(strength * blobs(places, vents, softness))
 
 
 def fill_dye(fluid: Fluid) -> None:
@@ -534,11 +540,11 @@ class Shots:
         """Take what is due after that step."""
         frame = film.wanted and number % self.every == 0
         if frame or number in self._when:
-            image = draw_fluid(self.fluid.grid.cells.dye.to_numpy(), self.look, self.height)
+            dye = self.fluid.grid.cells.dye.to_numpy()
             if frame:
-                film.add(image)
+                film.add(draw_fluid(dye, self.look, self.height))
             if number in self._when:
-                self.moments.append(image)
+                self.moments.append(draw_fluid(dye, self.look, max(self.height, 720)))
 
 
 def run(shots: Shots, film: Film, steps: int, dt: float, console: Console) -> None:
