@@ -24,7 +24,6 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,8 +33,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 import ebb
-from ebb.domains import Grid3D, HexMesh
-from pictures import Surface, save_strip
+from ebb.domains import HexGrid, HexMesh
+from pictures import save_strip
+from sedov_picture import Moment, skin
 
 SIDE = 1.125  # the length of the octant
 ORIGIN_ENERGY = 3.948746e7 / 45**3  # in the zone at the origin, times the number of zones
@@ -59,28 +59,22 @@ LEAST_GROWTH, MOST_GROWTH = 1.1, 1.2  # of the time step, from cycle to cycle; l
 TINY, HUGE = 1e-36, 1e20
 
 AXES = (0, 1, 2)
-CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
+MESHES = {"unstructured": HexMesh, "grid": HexGrid}
 
 dt = ebb.Global(ebb.float64, 0.0)
 courant = ebb.Global(ebb.float64, HUGE)
 hydro = ebb.Global(ebb.float64, HUGE)
 
 
-# ---- Geometry of a hexahedron with the corners x[0] to x[7], numbered as in CORNERS ----
+# ---- Geometry of a hexahedron with the corners x[0] to x[7], numbered as everywhere: four below, four above ----
 
 
 @ebb.func
 def corners(z, field):
     return (
-        z.corner(0)[field],
-        z.corner(1)[field],
-        z.corner(2)[field],
-        z.corner(3)[field],
-        z.corner(4)[field],
-        z.corner(5)[field],
-        z.corner(6)[field],
-        z.corner(7)[field],
-    )
+        z.corner(0)[field], z.corner(1)[field], z.corner(2)[field], z.corner(3)[field],
+        z.corner(4)[field], z.corner(5)[field], z.corner(6)[field], z.corner(7)[field],
+    )  # fmt: skip
 
 
 @ebb.func
@@ -176,7 +170,7 @@ def hourglass_forces(x, u, zone_volume):
 
 @ebb.kernel
 def add_forces(z):
-    x, u = corners(z, "x"), corners(z, "vel")
+    x, u = corners(z, "pos"), corners(z, "vel")
     i, j, k = axes(x)
     assert ebb.dot(j, ebb.cross(k, i)) > 0 and z.vol > 0, "the zone has no volume left"
     assert z.q <= LARGEST_VISCOSITY, "the artificial viscosity is above its limit"
@@ -213,7 +207,7 @@ def move_nodes(n):
     vel = n.vel + n.force * (dt.value / n.mass)
     vel = ebb.select(abs(vel) < VELOCITY_CUT, 0.0, vel)
     n.vel = vel
-    n.x = n.x + vel * dt.value
+    n.pos += vel * dt.value
     n.force = [0, 0, 0]
 
 
@@ -222,7 +216,7 @@ def move_nodes(n):
 
 @ebb.kernel
 def find_kinematics(z):
-    x, u = corners(z, "x"), corners(z, "vel")
+    x, u = corners(z, "pos"), corners(z, "vel")
     new_volume = volume(x)
     z.new_vol = new_volume / z.initial_volume
     assert new_volume > 0, "the zone has no volume left"
@@ -265,8 +259,10 @@ def find_viscosity(z):
     linear, quadratic = 0.0, 0.0
     for axis in AXES:
         own = z.du[axis]
-        after = ebb.select(z.is_free(axis), 0.0, z.after(axis).du[axis])
-        smooth = limiter(own, z.before(axis).du[axis], after)
+        before, after = z.beyond(2 * axis).du[axis], z.beyond(2 * axis + 1).du[axis]
+        if z.boundary(2 * axis + 1) == HexMesh.FREE:
+            after = 0.0
+        smooth = limiter(own, before, after)
         jump = min(own * z.dx[axis], 0.0)
         linear += jump * (1 - smooth)
         quadratic += jump * jump * (1 - smooth * smooth)
@@ -355,91 +351,14 @@ def next_step(c):
     dt.value = min(dt.value, c.dt)
 
 
-# ---- Meshes: what is a corner, and what lies before and after a zone along each of its axes ----
+# ---- Start ----
 
 
 @ebb.kernel
 def start_zone(z):
-    z.initial_volume = volume(corners(z, "x"))
+    z.initial_volume = volume(corners(z, "pos"))
     for i in (0, 1, 2, 3, 4, 5, 6, 7):
         z.corner(i).mass += DENSITY * z.initial_volume / 8
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Zones and nodes, and the nodes in the planes of symmetry by axis. Row numbers go through the last axis first.
-
-    Zones have the members ``corner(i)``, ``before(axis)`` and ``after(axis)``, the neighbours, or the zone itself where
-    there is none, and ``is_free(axis)``: whether it ends at the free side of that axis. Nodes have the position ``x``.
-    """
-
-    zones: ebb.Relation
-    nodes: ebb.Relation
-    planes: tuple[ebb.Subset, ...]
-    solid: HexMesh | None
-
-
-def unstructured(size: int) -> Mesh:
-    """Hexahedra with keys of their corners and neighbours."""
-    mesh = HexMesh.box(size, size, size, (SIDE,) * 3, symmetry=("xneg", "yneg", "zneg"), precision=ebb.float64)
-    zones, nodes = mesh.elements, mesh.vertices
-    lower, upper = ("xneg", "yneg", "zneg"), ("xpos", "ypos", "zpos")
-
-    @zones.member
-    def before(z, axis):
-        return z[lower[axis]]
-
-    @zones.member
-    def after(z, axis):
-        return z[upper[axis]]
-
-    @zones.member
-    def is_free(z, axis):
-        return z.boundary(2 * axis + 1) == HexMesh.FREE
-
-    @nodes.member
-    def x(n):
-        return n.pos
-
-    @x.setter
-    def x(n, value):
-        n.pos = value
-
-    return Mesh(zones, nodes, (nodes.xneg, nodes.yneg, nodes.zneg), mesh)
-
-
-def grid(size: int) -> Mesh:
-    """The cells and vertices of a grid: corners and neighbours are found by adding to indices."""
-    mesh = Grid3D((size,) * 3, extent=SIDE, precision=ebb.float64)
-    zones, nodes = mesh.cells, mesh.vertices
-    unit = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-
-    @zones.member
-    def corner(z, i):
-        return z.vertex(CORNERS[i][0], CORNERS[i][1], CORNERS[i][2])
-
-    @zones.member
-    def before(z, axis):
-        return z.clamped(-unit[axis][0], -unit[axis][1], -unit[axis][2])
-
-    @zones.member
-    def after(z, axis):
-        return z.clamped(unit[axis][0], unit[axis][1], unit[axis][2])
-
-    @zones.member
-    def is_free(z, axis):
-        return ebb.coords(z)[axis] == size - 1
-
-    along = np.linspace(0, SIDE, size + 1)
-    nodes.new_field("x", ebb.vec3d, init=np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1))
-    planes = [
-        nodes.new_subset(name, (slice(None),) * axis + (slice(0, 1),))
-        for axis, name in enumerate(("low_x", "low_y", "low_z"))
-    ]
-    return Mesh(zones, nodes, tuple(planes), None)
-
-
-MESHES = {"unstructured": unstructured, "grid": grid}
 
 
 # ---- Regions ----
@@ -505,8 +424,10 @@ class Sedov:
     """The blast: ``run`` goes on with it.
 
     Attributes:
-        mesh: zones and nodes.
+        mesh: a ``HexMesh`` or a ``HexGrid``.
         size: how many zones lie along a side.
+        zones: the elements: energy ``e``, pressure ``p``, viscosity ``q``, volume ``vol`` in proportion to the first.
+        nodes: the vertices: ``pos``, ``vel``, ``force``, ``mass``.
     """
 
     def __init__(self, size: int, regions: int = 1, balance: int = 1, cost: int = 1, mesh: str = "unstructured"):
@@ -519,8 +440,10 @@ class Sedov:
             cost: how much more often than once the gas of later regions is evaluated.
             mesh: ``unstructured`` or ``grid``.
         """
-        self.size, self.mesh = size, MESHES[mesh](size)
-        zones, nodes = self.mesh.zones, self.mesh.nodes
+        self.size = size
+        planes = ("xneg", "yneg", "zneg")
+        self.mesh = MESHES[mesh].box(size, size, size, (SIDE,) * 3, symmetry=planes, precision=ebb.float64)
+        self.zones, self.nodes = zones, nodes = self.mesh.elements, self.mesh.vertices
         for name in ("e", "p", "q", "new_e", "new_p", "new_q", "sound_speed", "linear_q", "quadratic_q"):
             zones.new_field(name, ebb.float64, init=0.0)
         for name in ("vol", "new_vol"):
@@ -548,13 +471,13 @@ class Sedov:
                 mask = (region_of == region).reshape(zones.shape)
                 rows = zones.new_subset(f"region_{region}", mask)
             self._regions.append((rows, evaluations(region, regions, cost)))
-        self._holds = [(hold_in_plane(axis), plane) for axis, plane in enumerate(self.mesh.planes)]
+        self._holds = [(hold_in_plane(axis), getattr(nodes, plane)) for axis, plane in enumerate(planes)]
         with ebb.capture() as self._cycle:
             self._record()
 
     def _record(self) -> None:
         """One cycle."""
-        zones, nodes = self.mesh.zones, self.mesh.nodes
+        zones, nodes = self.zones, self.nodes
         dt.value = HUGE
         next_step(self._clock)
         courant.value = hydro.value = HUGE
@@ -622,7 +545,7 @@ class Sedov:
 
         The largest difference, the sum of all, and the largest in proportion to the energy.
         """
-        plane = self.mesh.zones.e.to_numpy().reshape((self.size,) * 3)[0]
+        plane = self.zones.e.to_numpy().reshape((self.size,) * 3)[0]
         upper = np.triu_indices(self.size, 1)
         difference = np.abs(plane - plane.T)[upper]
         if not difference.size:
@@ -633,48 +556,17 @@ class Sedov:
 
     def origin_energy(self) -> float:
         """The energy of the zone at the origin."""
-        return float(self.mesh.zones.e.to_numpy().flat[0])
+        return float(self.zones.e.to_numpy().flat[0])
 
 
 # ---- The program ----
 
 
-@dataclass(frozen=True)
-class Moment:
-    """Where the nodes are at some time, shape (n + 1, n + 1, n + 1, 3), and the density of the zones, (n, n, n)."""
-
-    x: np.ndarray
-    density: np.ndarray
-
-
 def moment(blast: Sedov) -> Moment:
     """The state now, for a picture."""
     n = blast.size
-    x = blast.mesh.solid.vertices.pos if blast.mesh.solid is not None else blast.mesh.nodes.x
-    return Moment(
-        x.to_numpy().reshape(n + 1, n + 1, n + 1, 3), DENSITY / blast.mesh.zones.vol.to_numpy().reshape(n, n, n)
-    )
-
-
-def skin(shown: Moment) -> Surface:
-    """The sides of the octant, each zone in the colour of its density, turned so that the origin is in front on top."""
-    points, colors = [], []
-    for axis, end in itertools.product(AXES, (0, -1)):
-        x, density = shown.x.take(end, axis), shown.density.take(end, axis)
-        quads = np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2)
-        points.append((quads if (axis == 1) == (end == 0) else quads[:, :, ::-1]).reshape(-1, 3))
-        colors.append(np.repeat(density_colors(density.ravel()), 4, axis=0))
-    a, b, c = np.concatenate(points).T
-    turned = np.stack([(b - a) / 2**0.5, (a + b) / 2**0.5, c.max() - c], axis=1)
-    quads = np.arange(len(turned)).reshape(-1, 4)
-    return Surface(turned, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), np.concatenate(colors))
-
-
-def density_colors(density: np.ndarray) -> np.ndarray:
-    """From the dark of the emptied middle over the grey of gas at rest to the fire of the shock, RGB from 0 to 1."""
-    stops = np.array([(0.05, 0.04, 0.15), (0.35, 0.12, 0.40), (0.72, 0.73, 0.76), (0.95, 0.55, 0.15), (1.0, 0.9, 0.5)])
-    places = [0.0, 0.5, 1.0, 2.0, 4.0]
-    return np.stack([np.interp(density, places, channel) for channel in stops.T], axis=1)
+    x, v = blast.nodes.pos.to_numpy(), blast.zones.vol.to_numpy()
+    return Moment(x.reshape(n + 1, n + 1, n + 1, 3), DENSITY / v.reshape(n, n, n))
 
 
 def dump(path: Path, blast: Sedov) -> None:
@@ -682,7 +574,7 @@ def dump(path: Path, blast: Sedov) -> None:
 
     Here the last axis does; since nothing changes when axes are exchanged, rows stay, and x and z change places.
     """
-    zones, nodes = blast.mesh.zones, blast.mesh.nodes
+    zones, nodes = blast.zones, blast.nodes
     pos, vel = moment(blast).x.reshape(-1, 3), nodes.vel.to_numpy().reshape(-1, 3)
     names = {"e": "e", "p": "p", "q": "q", "v": "vol", "ss": "sound_speed"}
     np.savez(
@@ -694,26 +586,6 @@ def dump(path: Path, blast: Sedov) -> None:
         **{name: pos[:, 2 - axis] for axis, name in enumerate("xyz")},
         **{f"{name}d": vel[:, 2 - axis] for axis, name in enumerate("xyz")},
     )
-
-
-def save_vtk(path: Path, blast: Sedov) -> None:
-    """Write the mesh and its fields as a structured grid in VTK's old format, whose first axis goes fastest too."""
-    x, zones = moment(blast).x, blast.mesh.zones
-    n = blast.size + 1
-    with path.open("wb") as file:
-
-        def write(header: str, array: np.ndarray) -> None:
-            file.write(header.encode() + b"\n" + array.astype(">f8").tobytes() + b"\n")
-
-        write(
-            f"# vtk DataFile Version 3.0\nSedov blast, time {blast.time}\nBINARY\nDATASET STRUCTURED_GRID\n"
-            f"DIMENSIONS {n} {n} {n}\nPOINTS {n**3} double",
-            x[..., ::-1],
-        )
-        write(f"POINT_DATA {n**3}\nVECTORS velocity double", blast.mesh.nodes.vel.to_numpy()[..., ::-1])
-        file.write(f"CELL_DATA {zones.size}\n".encode())
-        for name in ("e", "p", "q", "vol"):
-            write(f"SCALARS {name} double 1\nLOOKUP_TABLE default", zones.fields[name].to_numpy())
 
 
 def summary(blast: Sedov, elapsed: float) -> str:
@@ -784,7 +656,8 @@ def main(
         elapsed, moments = watch(blast, iterations, save is not None, console)
         console.print(summary(blast, elapsed))
         if save is not None:
-            save_vtk(save.with_suffix(".vtk"), blast)
+            zone_fields = [blast.zones.fields[name] for name in ("e", "p", "q", "vol")]
+            blast.mesh.save(save.with_suffix(".vtk"), fields=[blast.nodes.vel, *zone_fields])
             drawn = save_strip(save.with_suffix(".png"), [skin(shown) for shown in moments], elevation=32)
             console.print(f"drawn by {drawn}", markup=False)
             console.print(f"saved {save.with_suffix('.vtk')} and {save.with_suffix('.png')}")
