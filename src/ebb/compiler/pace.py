@@ -14,6 +14,12 @@ two matrices has about 0.4 and does not gain by columns, a determinant has 0.7 a
 """
 
 
+def is_straight(kernel: kir.Kernel) -> bool:
+    """Whether rows have neither loops nor ways out: several are computed at once, whatever they read and change."""
+    straight = kir.Assign | kir.WriteField | kir.ReduceField | kir.ReduceGlobal | kir.If | kir.Assert
+    return all([isinstance(stmt, straight) for stmt in statements(kernel.body)])
+
+
 def pace_of(kernel: kir.Kernel) -> Pace:
     """How ``kernel`` goes over its rows."""
     centered = find_centered(kernel)

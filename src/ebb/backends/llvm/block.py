@@ -11,9 +11,13 @@ from collections.abc import Mapping, Sequence
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.ahead import Ahead, emit_ahead, plan_ahead
 from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entries
+from ebb.backends.llvm.hooks import Strips
+from ebb.backends.llvm.lanes import Flags
 from ebb.backends.llvm.lines import emit_line, emit_streaming, streams
 from ebb.backends.llvm.rare import emit_rare, plan_rare
-from ebb.backends.llvm.statements import StatementEmitter
+from ebb.backends.llvm.row_plan import RowPlan, plan_rows
+from ebb.backends.llvm.row_strips import emit_row_strips
+from ebb.backends.llvm.statements import AS_IT_IS, StatementEmitter
 from ebb.backends.llvm.strides import is_unit
 from ebb.backends.llvm.writer import ModuleWriter
 from ebb.compiler import lir
@@ -25,6 +29,9 @@ _WHOLE = '!"llvm.loop.vectorize.predicate.enable", i1 true'
 
 _ONE_AT_A_TIME = '!"llvm.loop.interleave.count", i32 1'
 """What makes LLVM take one register at a time: whole ones are all that there are."""
+
+_NO_VECTORS = '!"llvm.loop.vectorize.enable", i1 false'
+"""What keeps LLVM from making vectors of rows that hardly ever run."""
 
 
 def write_block(program: lir.Program, module: ModuleWriter) -> None:
@@ -115,6 +122,12 @@ class _BlockEmitter(StatementEmitter):
         )
         return whole and any(called)
 
+    def strips_of(self, loop: lir.RowLoop) -> RowPlan | None:
+        """How the rows run in strips, where the target is for them and they are fit."""
+        if self.module.hooks.strips is not Strips.MASKED or is_unit(loop.body, loop.index[-1]):
+            return None
+        return plan_rows(loop, self.module.hooks.vector_math)
+
     def bounds(self, d: int) -> tuple[str, str]:
         """The first index of a dimension, and the one behind the last."""
         return f"%low{d}", f"%high{d}"
@@ -127,6 +140,9 @@ class _BlockEmitter(StatementEmitter):
                 emit_streaming(self, loop, metadata)
             elif loop.inside is not None:
                 emit_line(self, loop, metadata)
+            elif (strips := self.strips_of(loop)) is not None:
+                notes = self.loop_notes(*AS_IT_IS), self.loop_notes(_NO_VECTORS)
+                emit_row_strips(self, loop, strips, Flags(self.flags, self.sum_flags), self.bounds(d), notes)
             elif (plan := plan_rare(loop)) is not None:
                 emit_rare(self, loop, plan, self.bounds(d))
             else:

@@ -15,6 +15,7 @@ from ebb.compiler import kir
 from ebb.compiler.cost import Cost, cost_of
 from ebb.compiler.lir import BLOCK_ROWS, Precision
 from ebb.compiler.lower import Launched, lower, sources_of
+from ebb.compiler.pace import is_straight
 from ebb.compiler.scatter.gather import Route, Routes, find_routes, gather
 from ebb.compiler.scatter.staged import Stage, make_stages, stage, staged_parts
 from ebb.compiler.scatter.step import Step
@@ -30,8 +31,12 @@ from ebb.runtime.buffer import Array
 FEW_BLOCKS = 4
 """Launches of fewer blocks than this run in row order: there is nothing to share."""
 
-OWN_BYTE, OTHER_BYTE, WRITTEN_BYTE, OPERATION = 0.05, 0.12, 0.1, 0.08
-"""Nanoseconds: for a byte of the own row, of another row, or written; for an operation on scalars."""
+OWN_BYTE, OTHER_BYTE, WRITTEN_BYTE, OPERATION, STRAIGHT_OPERATION = 0.05, 0.12, 0.1, 0.08, 0.02
+"""Nanoseconds: for a byte of the own row, of another row, or written; for an operation on scalars, and for one where
+several rows are computed at once."""
+
+STRAIGHT_OPERATIONS = 12
+"""From how many operations on straight rows are computed so, at least."""
 
 LISTED_ROW, STAGED_VALUE = 0.5, 5.0
 """Nanoseconds for a row that is found through a list, since what belongs to it lies anywhere, and for a value that goes
@@ -315,12 +320,13 @@ class Planner:
         return sum(self._time(step, self._rows_of(step)) for step in steps)
 
     def _time(self, step: Step, rows: RowSet) -> float:
-        return rows.size * _row_time(cost_of(step.kernel))
+        return rows.size * _row_time(cost_of(step.kernel), is_straight(step.kernel))
 
 
-def _row_time(cost: Cost) -> float:
+def _row_time(cost: Cost, straight: bool) -> float:
     moved = cost.own_bytes * OWN_BYTE + cost.other_bytes * OTHER_BYTE + cost.written_bytes * WRITTEN_BYTE
-    return moved + cost.operations * OPERATION
+    together = straight and cost.operations >= STRAIGHT_OPERATIONS
+    return moved + cost.operations * (STRAIGHT_OPERATION if together else OPERATION)
 
 
 def _route_text(route: Route) -> str:
