@@ -14,6 +14,7 @@ import pytest
 
 import ebb
 import ebb.domains
+import ebb.solvers
 
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "ebb"
@@ -156,7 +157,7 @@ def test_public_names_are_sorted_unique_and_there() -> None:
     assert visible - set(ebb.__all__) - {"annotations"} == set()
 
 
-@pytest.mark.parametrize("module", [ebb, ebb.domains], ids=lambda module: module.__name__)
+@pytest.mark.parametrize("module", [ebb, ebb.domains, ebb.solvers], ids=lambda module: module.__name__)
 def test_public_names_are_documented(module) -> None:
     """Each has a docstring, and stands in the reference, where the aliases of types stand as a pattern."""
     reference = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "reference").glob("*.md"))
@@ -175,7 +176,7 @@ def test_public_names_are_documented(module) -> None:
 def test_public_classes_document_their_public_methods() -> None:
     missing = [
         f"{each.__name__}.{name}"
-        for module in (ebb, ebb.domains)
+        for module in (ebb, ebb.domains, ebb.solvers)
         for each in vars(module).values()
         if inspect.isclass(each) and each.__module__.startswith("ebb.")
         for name, value in vars(each).items()
