@@ -41,10 +41,6 @@ def streams(kernel, rows):
     return "streams " in kernel.inspect(rows, "lir")
 
 
-def roll(array, *offset):
-    return np.roll(array, [-step for step in offset], tuple(range(len(offset))))
-
-
 def neighbors(cells, unit, edge):
     """Members ``c.left`` and ``c.right`` along the last dimension, and ``c.below`` along the first."""
     first = [[*row, 1 if d == 0 else 0] for d, row in enumerate(unit)]
@@ -183,6 +179,26 @@ def test_what_neighbors_have_in_common(stores, type_, edge):
     expected = np.abs(at(0, -1, 1)) - sides_at(2) + at(0, 0, -2) - at(0, 0, -40)
     np.testing.assert_array_equal(cells.z.to_numpy(), expected)
     assert streams(share, cells) == (stores == "streamed")
+
+
+def test_vectors_along_lines(stores):
+    cells = ebb.Relation("cells", shape=(5, 70), periodic=(True, True))
+    x = np.random.default_rng(6).integers(-99, 99, (5, 70, 3)).astype(np.float32)
+    cells.new_field("x", ebb.vec3f, init=x)
+    cells.new_field("y", ebb.vec3f)
+
+    @cells.member("__call__")
+    def moved(c, i, j):
+        return ebb.affine(cells, [[1, 0, i], [0, 1, j]], c)
+
+    @ebb.kernel
+    def add(c: cells):
+        c.y = c(0, 1).x - 2.0 * c(0, -1).x + 3.0 * c(1, 0).x
+
+    add(cells)
+    expected = np.roll(x, -1, 1) - 2 * np.roll(x, 1, 1) + 3 * np.roll(x, -1, 0)
+    np.testing.assert_array_equal(cells.y.to_numpy(), expected)
+    assert streams(add, cells) == (stores == "streamed")
 
 
 def test_what_is_looked_at_is_kept(stores):

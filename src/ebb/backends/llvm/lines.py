@@ -14,8 +14,9 @@ from collections.abc import Sequence
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.registers import emit_registers, plan_registers
-from ebb.backends.llvm.strides import is_even, is_unit
-from ebb.backends.llvm.turns import Emitter, value_at
+from ebb.backends.llvm.stream import STREAM, STREAM_FUNCTION
+from ebb.backends.llvm.strides import is_even
+from ebb.backends.llvm.turns import FETCHED_AHEAD, Emitter, value_at
 from ebb.compiler import lir
 
 STRETCH = 256
@@ -25,62 +26,6 @@ TOGETHER = 16
 """The rows of whole registers and lines of the cache: of the narrowest elements that stream, 4 bytes."""
 
 _LINE_BYTES = 64
-_FETCHED_AHEAD = 5 << 10
-"""How far ahead memory is fetched. Half of it is too late, twice as much no better."""
-
-STREAM_FUNCTION = "ebb.stream"
-
-_STREAM = """
-define internal void @ebb.stream(ptr noalias %to, ptr noalias %from, i64 %bytes) noinline nounwind {
-entry:
-  %address = ptrtoint ptr %to to i64
-  %negative = sub i64 0, %address
-  %misaligned = and i64 %negative, 63
-  %before = call i64 @llvm.umin.i64(i64 %misaligned, i64 %bytes)
-  br label %first
-first:
-  %a = phi i64 [ 0, %entry ], [ %a.next, %first.turn ]
-  %a.more = icmp ult i64 %a, %before
-  br i1 %a.more, label %first.turn, label %lines
-first.turn:
-  %a.from = getelementptr inbounds i8, ptr %from, i64 %a
-  %a.to = getelementptr inbounds i8, ptr %to, i64 %a
-  %a.word = load i32, ptr %a.from, align 4
-  store i32 %a.word, ptr %a.to, align 4, !nontemporal !NOTE
-  %a.next = add nuw i64 %a, 4
-  br label %first
-lines:
-  %rest = sub i64 %bytes, %before
-  %whole = and i64 %rest, -64
-  %behind = add i64 %before, %whole
-  br label %line
-line:
-  %b = phi i64 [ %before, %lines ], [ %b.next, %line.turn ]
-  %b.more = icmp ult i64 %b, %behind
-  br i1 %b.more, label %line.turn, label %last
-line.turn:
-  %b.from = getelementptr inbounds i8, ptr %from, i64 %b
-  %b.to = getelementptr inbounds i8, ptr %to, i64 %b
-  %b.line = load <16 x i32>, ptr %b.from, align 64
-  store <16 x i32> %b.line, ptr %b.to, align 64, !nontemporal !NOTE
-  %b.next = add nuw i64 %b, 64
-  br label %line
-last:
-  %c = phi i64 [ %behind, %line ], [ %c.next, %last.turn ]
-  %c.more = icmp ult i64 %c, %bytes
-  br i1 %c.more, label %last.turn, label %done
-last.turn:
-  %c.from = getelementptr inbounds i8, ptr %from, i64 %c
-  %c.to = getelementptr inbounds i8, ptr %to, i64 %c
-  %c.word = load i32, ptr %c.from, align 4
-  store i32 %c.word, ptr %c.to, align 4, !nontemporal !NOTE
-  %c.next = add nuw i64 %c, 4
-  br label %last
-done:
-  ret void
-}
-"""
-"""Moves words to where they lie as in ``from``, with respect to lines of the cache."""
 
 
 def streams(loop: lir.RowLoop) -> bool:
@@ -144,8 +89,6 @@ def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     w.start(turn)
     aligned = _aligned(e, start, offset)
     stop = _least(e, w.emit(f"add nsw i64 {aligned}, {STRETCH}"), high)
-    for ahead in streaming.ahead:
-        _fetch(e, loop, ahead, start, stop)
     whole = _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
     _store(e, streaming, buffers, (start, whole[0]), aligned, offset)
     _store(e, streaming, buffers, (whole[1], stop), aligned, offset)
@@ -201,12 +144,14 @@ def _compute(
         taken = w.emit(f"add i64 {w.emit(f'sub i64 {last}, {begin}')}, {TOGETHER - 1}")
         count = _choose(e, w.emit(f"icmp slt i64 {first}, {last}"), w.emit(f"and i64 {taken}, {-TOGETHER}"), "0")
         end = w.emit(f"add i64 {begin}, {count}")
-        plan = plan_registers(body, index) if is_unit(body, index) else None
+        plan = plan_registers(body, index)
     if plan is None:
+        for ahead in streaming.ahead:
+            _fetch(e, loop, ahead, *rows)
         e.count(index, begin, end, body, metadata)
     else:
         whole = _whole(e, first, last, begin, rows[1], offset)
-        emit_registers(e, plan, index, begin, end, whole, e.loop_notes(*_FEW_TURNS))
+        emit_registers(e, plan, index, (begin, end), whole, streaming.ahead, e.loop_notes(*_FEW_TURNS))
     if loop.inside is not None:
         _near_ends(e, loop, rows, first, last)
     e.buffers.clear()
@@ -279,7 +224,7 @@ def _store(
     w, (start, stop) = e.w, rows
     w.declare("i64 @llvm.umin.i64(i64, i64)")
     if STREAM_FUNCTION not in e.module.definitions:
-        w.define(STREAM_FUNCTION, _STREAM.replace("!NOTE", e.module.note("!{{i32 1}}")))
+        w.define(STREAM_FUNCTION, STREAM.replace("!NOTE", e.module.note("!{{i32 1}}")))
     skipped = w.emit(f"sub i64 {start}, {w.emit(f'add i64 {aligned}, {-TOGETHER}')}")
     count = w.emit(f"sub i64 {stop}, {start}")
     first = w.emit(f"add i64 {start}, {offset}")
@@ -298,7 +243,7 @@ def _fetch(e: Emitter, loop: lir.RowLoop, ahead: lir.RowPlace, start: str, stop:
     element = ahead.size * ahead.slot.type.bits // 8
     first = w.emit(f"mul i64 {value_at(e, _body(loop), loop.index[-1], ahead.row, start)}, {element}")
     place = w.emit(f"getelementptr i8, ptr %slot{ahead.slot.number}, i64 {first}")
-    place = w.emit(f"getelementptr i8, ptr {place}, i64 {_FETCHED_AHEAD}")
+    place = w.emit(f"getelementptr i8, ptr {place}, i64 {FETCHED_AHEAD}")
     length = w.emit(f"mul i64 {w.emit(f'sub i64 {stop}, {start}')}, {element}")
     head, turn, done = (w.fresh(stem) for stem in ("head", "fetch", "done"))
     before, following = w.label, f"%{w.fresh('next')}"

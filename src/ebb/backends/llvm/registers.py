@@ -8,11 +8,12 @@ by the sums of its faces and corners, loads 9 registers instead of 27, and none 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.shifts import Key, Known, Names
-from ebb.backends.llvm.turns import Emitter
+from ebb.backends.llvm.strides import is_unit
+from ebb.backends.llvm.turns import FETCHED_AHEAD, Emitter
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands
 from ebb.records import record
@@ -48,10 +49,9 @@ class Registers:
 
 
 def plan_registers(body: lir.Body, counter: lir.Temp) -> Registers | None:
-    """How rows that run ``body`` are computed in registers, or None where that is left to LLVM.
-
-    Each access of ``body`` goes on by one element from row to row, or stays where it is.
-    """
+    """How rows that run ``body`` are computed in registers, or None where that is left to LLVM."""
+    if not is_unit(body, counter):
+        return None
     names = Names(counter)
     made: dict[Key, tuple[lir.Let, int]] = {}
     stored: list[lir.Store] = []
@@ -121,13 +121,15 @@ def _fits(let: lir.Let, scalar: ScalarType, names: Names) -> bool:
 
 
 def emit_registers(
-    e: Emitter, plan: Registers, counter: lir.Temp, start: str, stop: str, whole: tuple[str, str], metadata: str
-) -> None:
-    """The rows from ``start``, where a line of the cache begins, in whole registers up to ``stop`` or beyond.
+    e: Emitter, plan: Registers, counter: lir.Temp, rows: tuple[str, str], whole: tuple[str, str],
+    ahead: Sequence[lir.RowPlace], metadata: str,
+) -> None:  # fmt: skip
+    """The rows from the first of ``rows``, where a line of the cache begins, up to the second, in whole registers.
 
-    Registers from the first of ``whole`` on, and behind the last, are stored past the cache; others into buffers.
+    Those from the first of ``whole`` up to the second are stored past the cache, others into buffers. With each
+    register what is ``ahead`` is asked for.
     """
-    _Registers(e, plan, counter).loop(start, stop, whole, metadata)
+    _Registers(e, plan, counter).loop(*rows, whole, ahead, metadata)
 
 
 class _Registers:
@@ -138,7 +140,7 @@ class _Registers:
         self.computed: dict[tuple[Key, int], str] = {}
         self.invariant: dict[Key, str] = {}
 
-    def loop(self, start: str, stop: str, whole: tuple[str, str], metadata: str) -> None:
+    def loop(self, start: str, stop: str, whole: tuple[str, str], ahead: Sequence[lir.RowPlace], metadata: str) -> None:
         w, plan = self.w, self.plan
         self.begin(start)
         initial = {key: {at: self.compute(key, at) for at in self.carried(key)} for key in plan.kept}
@@ -158,6 +160,8 @@ class _Registers:
         w.branch_if(w.emit(f"icmp slt i64 {row}, {stop}"), turn, done)
         w.start(turn)
         self.begin(row)
+        for place in ahead:
+            self.fetch(place)
         self.kept = phis
         self.take_over()
         self.store(row, whole)
@@ -184,6 +188,14 @@ class _Registers:
                 last = lanes if self.plan.kept[key][1] > 0 else 0
                 self.kept[key][last] = self.compute(key, last)
                 self.kept[key].setdefault(0, self.kept[key][last])
+
+    def fetch(self, ahead: lir.RowPlace) -> None:
+        """Asks for what rows some way behind will read, into the second cache."""
+        self.w.declare("void @llvm.prefetch.p0(ptr, i32, i32, i32)")
+        distance = FETCHED_AHEAD * 8 // ahead.slot.type.bits
+        place = self.w.emit(f"add i64 {self.e.value(ahead.row)}, {distance}")
+        line = self.e.element(ahead.slot, place)
+        self.w.do(f"call void @llvm.prefetch.p0(ptr {line}, i32 0, i32 2, i32 1)")
 
     def begin(self, row: str) -> None:
         """Emits what is the same in all rows, and addresses, for the register that begins at ``row``."""

@@ -8,6 +8,9 @@ from ebb.backends.llvm.writer import FunctionWriter, ModuleWriter
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands
 
+FETCHED_AHEAD = 5 << 10
+"""How far ahead memory is fetched. Half of it is too late, twice as much no better."""
+
 
 class Emitter(Protocol):
     """What emits the function around the rows.
