@@ -1,7 +1,7 @@
 """A soft body of corotational linear elasticity, by finite elements and implicit steps.
 
 Hooke's law, in a frame that turns with each tetrahedron: with the polar decomposition F = R S, the energy is
-mu |F - R|^2 + lam / 2 (tr S - 3)^2 (Sifakis and Barbic, SIGGRAPH 2012 course notes, section 3.4), and the stiffness its
+mu |F - R|^2 + lam / 2 (tr S - 3)^2 (Sifakis and Barbic, SIGGRAPH 2012 course notes, chapter 3), and the stiffness its
 second derivative, with what the turning of R adds to it (McAdams et al., "Efficient elasticity for character skinning
 with contact and collisions", 2011, DOI 10.1145/1964921.1964932). R is a rotation also where a tetrahedron has turned
 over, which then finds back.

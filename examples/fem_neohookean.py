@@ -2,7 +2,7 @@
 
 The energy is mu / 2 (tr F^T F - 3) - mu log J + lam / 2 (log J)^2 with J = det F (Bonet and Wood, "Nonlinear Continuum
 Mechanics for Finite Element Analysis", 2nd edition, 2008, section 6.4.3; Sifakis and Barbic, SIGGRAPH 2012 course
-notes, section 3.4). It grows without bound as a tetrahedron is squashed to nothing, so none turns over.
+notes, chapter 3). It grows without bound as a tetrahedron is squashed to nothing, so none turns over.
 
     python examples/fem_neohookean.py --save out/bar.png
 """

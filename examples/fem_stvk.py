@@ -1,8 +1,8 @@
 """A soft body of St. Venant-Kirchhoff's material, by finite elements and implicit steps.
 
 The energy is quadratic in the Green strain E = (F^T F - I) / 2, so the body may turn as it likes (Bonet and Wood,
-"Nonlinear Continuum Mechanics for Finite Element Analysis", 2nd edition, 2008, section 6.3; Bernstein et al. 2015,
-section 7, runs Vega FEM's). Where it is squashed to less than 0.58 of its length it gives way: see fem_neohookean.py.
+"Nonlinear Continuum Mechanics for Finite Element Analysis", 2nd edition, 2008, chapter 6; Bernstein et al. 2015 measure
+Vega FEM's). Where it is squashed to less than 0.58 of its length it gives way: see fem_neohookean.py.
 
     python examples/fem_stvk.py --save out/bar.png
     python examples/fem_stvk.py --mesh turtle.veg --fixed y- --save out/turtle.pvd
