@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import ebb
 import lulesh
 from backends import require
+from lulesh_model import Model
 
 MESHES = ("unstructured", "grid")
 ZONE_FIELDS = ("e", "p", "q", "vol", "sound_speed")
@@ -25,7 +26,7 @@ PUBLISHED = {5: (72, 7.853665e03), 10: (231, 2.720531e04), 30: (932, 2.025075e05
 
 def state(blast):
     """The fields of zones and nodes in the order of rows, one row of numbers each."""
-    zones, nodes = blast.mesh.zones, blast.mesh.nodes
+    zones, nodes = blast.zones, blast.nodes
     found = {name: zones.fields[name].to_numpy().ravel() for name in ZONE_FIELDS}
     found["x"] = lulesh.moment(blast).x.ravel()
     found["vel"] = nodes.vel.to_numpy().ravel()
@@ -67,13 +68,28 @@ def test_the_shock_is_where_sedov_has_it():
     moment = lulesh.moment(blast)
     centre = sum(moment.x[i : 12 + i, j : 12 + j, k : 12 + k] for i, j, k in np.ndindex(2, 2, 2)) / 8
     radius = np.linalg.norm(centre, axis=-1)
-    total = 8 * (blast.mesh.zones.initial_volume.to_numpy().flat[0]) * lulesh.ORIGIN_ENERGY * 12**3
+    total = 8 * (blast.zones.initial_volume.to_numpy().flat[0]) * lulesh.ORIGIN_ENERGY * 12**3
     front = (total * blast.time**2 / (0.4936 * lulesh.DENSITY)) ** 0.2
     assert front == pytest.approx(1.0, abs=0.01)
     assert radius.flat[moment.density.argmax()] == pytest.approx(front, abs=0.06)
     assert moment.density.max() == pytest.approx(4, abs=0.6)
     assert moment.density[radius > front + 0.06].mean() == pytest.approx(lulesh.DENSITY, abs=0.02)
     assert moment.density[radius < 0.55].max() < 0.25
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_whole_fields_are_those_of_a_plain_program(tmp_path, mesh):
+    size, cycles = 5, 60
+    model, blast = Model(size), after(cycles, size, regions=4, mesh=mesh)
+    model.run(cycles)
+    path = tmp_path / "state.npz"
+    lulesh.dump(path, blast)
+    saved = np.load(path)
+    expected = {name: getattr(model, name) for name in ("time", "dt", "e", "p", "q", "v", "ss")}
+    for axis, name in enumerate("xyz"):
+        expected |= {name: model.x[:, axis], f"{name}d": model.xd[:, axis]}
+    for name, values in expected.items():
+        np.testing.assert_allclose(saved[name], values, rtol=1e-10, atol=1e-12 * np.abs(values).max(), err_msg=name)
 
 
 def test_meshes_and_regions_change_nothing():
@@ -96,12 +112,12 @@ def test_threads_change_no_bit(mesh):
 
 def test_axes_are_alike():
     blast = after(60, 7)
-    energy = blast.mesh.zones.e.to_numpy().reshape(7, 7, 7)
+    energy = blast.zones.e.to_numpy().reshape(7, 7, 7)
     for order in itertools.permutations(range(3)):
         np.testing.assert_allclose(energy.transpose(order), energy, rtol=1e-10, atol=1e-8)
     largest, total, relative = blast.symmetry()
     assert largest <= total < 1e-6 and relative < 1e-10
-    blast.mesh.zones.e.load(np.arange(343.0).reshape(blast.mesh.zones.shape))
+    blast.zones.e.load(np.arange(343.0).reshape(blast.zones.shape))
     plane = np.arange(49.0).reshape(7, 7)
     assert blast.symmetry()[0] == np.abs(plane - plane.T).max()
 
@@ -154,13 +170,13 @@ def test_domain_aborts(backend, field, value, text):
     with ebb.backend(backend):
         blast = after(3, 3)
         if field == "vel":
-            velocity = blast.mesh.nodes.vel.to_numpy().reshape(4, 4, 4, 3)
+            velocity = blast.nodes.vel.to_numpy().reshape(4, 4, 4, 3)
             velocity[2, 2, 2] = value
-            blast.mesh.nodes.vel.load(velocity.reshape((*blast.mesh.nodes.shape, 3)))
+            blast.nodes.vel.load(velocity.reshape((*blast.nodes.shape, 3)))
         else:
-            viscosity = blast.mesh.zones.q.to_numpy().ravel()
+            viscosity = blast.zones.q.to_numpy().ravel()
             viscosity[5] = value
-            blast.mesh.zones.q.load(viscosity.reshape(blast.mesh.zones.shape))
+            blast.zones.q.load(viscosity.reshape(blast.zones.shape))
         with pytest.raises(lulesh.DomainError, match=rf"cycle [45](.|\n)*{text}") as caught:
             blast.run(5)
         assert "row" in str(caught.value)
