@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import ebb
 from ebb.errors import RelationError
 from ebb.relations.globals import Constant, Global, constant
 from ebb.relations.relation import Relation
@@ -83,3 +84,24 @@ def test_constants() -> None:
 def test_repr() -> None:
     assert repr(Global(vec3d, 1)) == "Global(vector(float64, 3), [1.0, 1.0, 1.0])"
     assert repr(constant(1, float32)) == "constant(1.0, float32)"
+
+
+def test_a_sum_of_what_a_function_computes_does_not_read_the_global():
+    rows = ebb.Relation("rows", size=3)
+    rows.new_field("x", float64, init=2.0)
+    total = Global(float64, 1.0)
+
+    @ebb.func
+    def square(value):
+        result = value * value
+        return result
+
+    @ebb.kernel
+    def add(r: rows):
+        if r.x > 0:
+            total.value += square(r.x)
+        total.value -= square(r.x)
+        total.value += 1
+
+    add(rows)
+    assert total.value == 4.0
