@@ -214,7 +214,10 @@ def test_a_viscous_fluid_sticks_to_the_walls_of_a_channel():
     assert profile == pytest.approx(4 * y * (1 - y), abs=2e-3)
 
 
-@pytest.mark.parametrize(("scene", "ndim"), [*((scene, 2) for scene in SCENES), ("smoke", 3)])
+@pytest.mark.parametrize(
+    ("scene", "ndim"),
+    [*((scene, 2) for scene in SCENES), *(pytest.param(scene, 3, marks=pytest.mark.slow) for scene in SCENES)],
+)
 def test_scenes(scene, ndim):
     chosen = SCENES[scene]
     fluid = Fluid(make_grid(chosen, 8, ndim, chosen.periodic, ebb.float64), chosen.physics)
@@ -243,12 +246,16 @@ def test_the_program(tmp_path):
     assert image.n_frames == 4 and image.size == (32, 48)
 
 
-def test_other_options(tmp_path):
+@pytest.mark.slow
+def test_the_program_in_space(tmp_path):
     picture = tmp_path / "smoke.png"
     options = ("--steps", 2, "--advection", "linear", "--solver", "jacobi", "--box", "periodic")
     result = invoke("--dimensions", 3, "--grid", 8, *options, "--save", picture)
     assert result.exit_code == 0, result.output
     assert "8 x 8 x 16 cells" in result.output and "periodic in" in result.output
+
+
+def test_other_options(tmp_path):
     result = invoke(
         "--scene", "vortices", "--advection", "linear", "--viscosity", "0.01", "--animate", tmp_path / "a.webp"
     )
