@@ -166,8 +166,8 @@ class _Planner:
 
     def find_update(self, stmt: lir.Store, slot: lir.Slot, index: lir.Value, stored: lir.Value) -> bool:
         """Whether ``stmt`` changes an element of another row by an operation; notes it."""
-        if not isinstance(stored, lir.Temp):
-            return False
+        if self.loop.rows is lir.Rows.INDEPENDENT or not isinstance(stored, lir.Temp):
+            return False  # independent rows change nothing but their own
         match self.definitions.get(stored.number):
             case lir.Binary(op, lir.Temp() as before, value) if op in _CHANGES and self.reads(before, slot, index):
                 pass
