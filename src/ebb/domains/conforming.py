@@ -41,7 +41,16 @@ def tetrahedralise(points: Floats, triangles: Integers, resolution: int) -> Mesh
     surface: Any = tetgen.TetGen(points, triangles.astype(np.int32))
     try:
         found = surface.tetrahedralize(
-            quality=True, minratio=1.4, mindihedral=10, maxvolume=_REGULAR * size**3, fixedvolume=True, steinerleft=-1
+            quality=True,
+            minratio=1.4,
+            mindihedral=10,
+            maxvolume=_REGULAR * size**3,
+            fixedvolume=True,
+            steinerleft=-1,
+            # Else it writes what it has skipped into the current folder, when it fails.
+            nonodewritten=True,
+            noelewritten=True,
+            nofacewritten=True,
         )
     except RuntimeError as error:
         raise MeshFormatError(NotTetrahedralised(str(error))) from None
