@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ from ebb.domains.generators import require_count
 from ebb.domains.io.data import Floats, Integers, MeshData
 from ebb.domains.lattice import check_closed
 from ebb.errors import BackendError, MeshFormatError
+
+_LEFT = ("_skipped.node", "_skipped.face")
+"""What TetGen writes into the current folder when it fails."""
 
 _REGULAR = 2**0.5 / 12
 """The volume of a regular tetrahedron with edges of length 1."""
@@ -38,6 +42,7 @@ def tetrahedralise(points: Floats, triangles: Integers, resolution: int) -> Mesh
         raise BackendError(MissingTetgen()) from None
     used = points[triangles]
     size = float(np.ptp(used.reshape(-1, 3), axis=0).max()) / resolution
+    left = [path for path in map(Path, _LEFT) if not path.exists()]
     surface: Any = tetgen.TetGen(points, triangles.astype(np.int32))
     try:
         found = surface.tetrahedralize(
@@ -47,11 +52,9 @@ def tetrahedralise(points: Floats, triangles: Integers, resolution: int) -> Mesh
             maxvolume=_REGULAR * size**3,
             fixedvolume=True,
             steinerleft=-1,
-            # Else it writes what it has skipped into the current folder, when it fails.
-            nonodewritten=True,
-            noelewritten=True,
-            nofacewritten=True,
         )
     except RuntimeError as error:
+        for path in left:
+            path.unlink(missing_ok=True)
         raise MeshFormatError(NotTetrahedralised(str(error))) from None
     return MeshData(np.array(found[0], dtype=np.float64), np.array(found[1], dtype=np.int64))
