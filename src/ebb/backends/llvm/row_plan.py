@@ -21,13 +21,9 @@ from ebb.types.types import Kind
 LEAST_WORK = 12
 """The operations on floats, for each place that lanes reach by themselves, from which on strips pay."""
 
-MOST_COMPONENTS = 16
-"""Rows with more elements than this are not written in strips."""
-
 _BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
 _CHANGES = frozenset({"+", "-", "*", "min", "max", "&", "|", "^"})
 _SWAPPED = _CHANGES - {"-"}
-_INTEGERS = (Kind.SIGNED, Kind.UNSIGNED)
 
 
 class Reach(Enum):
@@ -70,7 +66,27 @@ class _Unfit(Exception):  # noqa: N818 - no error: the loop is taken as it is
 def plan_rows(loop: lir.RowLoop, vector_math: VectorForms) -> RowPlan | None:
     """How ``loop`` runs in strips, or None where it cannot, or gains nothing by it."""
     try:
-        return _Planner(loop, vector_math).plan()
+        return _Planner(loop, vector_math).plan(gains=True)
+    except _Unfit:
+        return None
+
+
+def plan_runs(loop: lir.RowLoop, vector_math: VectorForms) -> tuple[lir.RowLoop, RowPlan] | None:
+    """How a loop over a list of rows runs in strips where rows follow one another: the loop over rows, and its plan.
+
+    None where it is no loop over a list of rows, or they cannot.
+    """
+    match loop:
+        case lir.RowLoop((counter,), lir.Rows.INDEPENDENT, (lir.Let(row, lir.Load(slot, index)), *rest)):
+            if slot.binding != lir.LaunchPositions() or index != counter:
+                return None
+        case _:
+            return None
+    if any(value == counter for stmt in statements(tuple(rest)) for value in values(stmt)):
+        return None
+    rows = lir.RowLoop((row,), loop.rows, tuple(rest))
+    try:
+        return rows, _Planner(rows, vector_math).plan(gains=False)
     except _Unfit:
         return None
 
@@ -91,7 +107,7 @@ class _Planner:
         self.changes: Counter[int] = Counter()
         self.checks = 0
 
-    def plan(self) -> RowPlan:
+    def plan(self, gains: bool) -> RowPlan:
         self.find_reach()
         self.count_changes()
         self.check(self.loop.body, nested=False)
@@ -103,7 +119,7 @@ class _Planner:
         for let in self.lets:
             if isinstance(let.operation, lir.Load) and let.temp.number not in self.skipped:
                 demand(let.operation.slot.number not in changed)
-        demand(self.pays())
+        demand(not gains or self.pays())
         return RowPlan(self.definitions, self.updates, self.skipped, self.checks)
 
     def pays(self) -> bool:
