@@ -37,7 +37,7 @@ from ebb.compiler.launch_errors import (
 from ebb.compiler.phases.check import check_phases
 from ebb.compiler.phases.reach import collect_reaches
 from ebb.compiler.phases.stencil import check_stencil, collect_stencil
-from ebb.compiler.pipeline import run_passes
+from ebb.compiler.pipeline import PASSES, Unverified, run_passes
 from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError, trimmed
 from ebb.launch import Launch, Specialisation
 from ebb.records import field, record, replace
@@ -281,8 +281,9 @@ class Kernel:
         with suspended():  # libraries may make an index when a kernel first asks for it
             elaborated = elaborate(self.source, relation, types)
         phases = check_phases(elaborated.kernel)
-        kernel = run_passes(elaborated.kernel)
-        checked = CheckedKernel(kernel, phases, collect_stencil(kernel), self._hints)
+        unverified = Unverified()
+        kernel = run_passes(elaborated.kernel, PASSES, unverified.add)
+        checked = CheckedKernel(kernel, phases, collect_stencil(kernel), self._hints, unverified.verify)
         return Specialisation(
             checked,
             elaborated.guards,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any, Protocol, TypeAlias
 
@@ -33,14 +33,24 @@ class Hints:
     fastmath: bool = False
 
 
+def _nothing_unverified() -> None:
+    """For kernels that have been verified."""
+
+
 @record(eq=False)
 class CheckedKernel:
-    """A kernel whose phases are right, after the passes, with the facts that stand beside the tree."""
+    """A kernel whose phases are right, after the passes, with the facts that stand beside the tree.
+
+    Attributes:
+        verify: verifies what the kernel was made of, unless that has been done; a backend calls it before it compiles
+            or interprets the kernel.
+    """
 
     kernel: kir.Kernel
     phases: PhaseTable
     stencil: tuple[Access, ...]
     hints: Hints
+    verify: Callable[[], None] = _nothing_unverified
 
 
 @record

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
@@ -24,8 +24,16 @@ MOST_PRIVATE_BYTES = 1 << 20
 """The most memory that a row's variables may take: threads have stacks of two megabytes and more."""
 
 
-def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> bytes:
+def object_code(
+    program: lir.Program, target: Target, cache: ObjectCache, verify: Callable[[], None]
+) -> bytes:  # fmt: skip
     """What ``target`` takes of ``program``, in its ``form``: from ``cache``, or compiled and put there.
+
+    Args:
+        program: what to compile.
+        target: for what.
+        cache: where its code may be.
+        verify: verifies what the program was lowered of; what is in the cache was verified.
 
     Raises:
         BackendError: the variables of one row do not fit on a thread's stack, or a library is not installed.
@@ -36,7 +44,8 @@ def object_code(program: lir.Program, target: Target, cache: ObjectCache) -> byt
     key = key_of(text, target.fingerprint, _emitter_version())
     image = cache.get(key)
     if image is None:
-        lir_verify.verify(program)  # what is in the cache was verified
+        verify()
+        lir_verify.verify(program)
         start = time.perf_counter()
         module = _module(program, target)
         dump(program.name, "optimize", lambda: str(module))

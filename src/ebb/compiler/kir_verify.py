@@ -30,6 +30,8 @@ from ebb.types.rules import (
 from ebb.types.signatures import Complaint
 from ebb.types.types import KeyType, Kind, ScalarType, Type, bool_, int32, int64, shaped_type, vector
 
+_BINARY = frozenset((*ARITHMETIC, *BITWISE, *SHIFTS))
+
 
 class CompilerBug(Exception):  # noqa: N818 - a bug of ours, not an error of the user
     """The compiler broke one of its own rules. Not an ``EbbError``: nothing in the user's program caused it."""
@@ -180,14 +182,18 @@ class _Verifier:
 
     def bind(self, local: kir.Local, stmt: kir.Stmt) -> None:
         known = self.locals.setdefault(local.uid, local)
-        _require(known == local, stmt, f"two variables have the uid {local.uid}: {known} and {local}")
+        if known != local:
+            raise CompilerBug(_message(stmt, f"two variables have the uid {local.uid}: {known} and {local}"))
 
     def same(self, expected: Type, value: kir.Expr, where: kir.Stmt | kir.Expr) -> None:
-        _require(value.type == expected, where, f"expected a {expected!r}, found a {value.type!r}")
+        found = value.type
+        if found is not expected and found != expected:  # the text is made only then: this is asked of every node
+            raise CompilerBug(_message(where, f"expected a {expected!r}, found a {found!r}"))
 
     def reduction(self, place: Type, op: kir.ReduceOp, value: kir.Expr, stmt: kir.Stmt) -> None:
         self.same(place, value, stmt)
-        _require(reduce_mismatch(op.value, place, value.type) is None, stmt, f"no reduction {op.value} of {place!r}")
+        if reduce_mismatch(op.value, place, value.type) is not None:
+            raise CompilerBug(_message(stmt, f"no reduction {op.value} of {place!r}"))
 
     def query(self, index: Any, key: kir.Expr, where: kir.Stmt | kir.Expr) -> None:
         _require(index.grouping is not None, where, f"'{index.path}' is not grouped")
@@ -204,19 +210,22 @@ class _Verifier:
         if isinstance(expr, kir.ReadLocal):
             self.local(expr, flow)
         found = self.type_of(expr)
-        _require(found is None or found == expr.type, expr, f"it has the type {found!r}, not {expr.type!r}")
+        if found is not None and found is not expr.type and found != expr.type:
+            raise CompilerBug(_message(expr, f"it has the type {found!r}, not {expr.type!r}"))
 
     def local(self, expr: kir.ReadLocal, flow: _Flow) -> None:
         local = expr.local
-        _require(self.locals.get(local.uid) == local, expr, f"'{local.name}' ({local.uid}) is not declared before")
-        assigned = flow.assigned is None or local.uid in flow.assigned
-        _require(assigned, expr, f"'{local.name}' ({local.uid}) may have no value")
+        if self.locals.get(local.uid) != local:
+            raise CompilerBug(_message(expr, f"'{local.name}' ({local.uid}) is not declared before"))
+        if flow.assigned is not None and local.uid not in flow.assigned:
+            raise CompilerBug(_message(expr, f"'{local.name}' ({local.uid}) may have no value"))
 
     def type_of(self, expr: kir.Expr) -> Type | None:  # noqa: C901 - one case a kind of node
         """The type that ``expr`` must have, given its operands; None where any will do and has been checked."""
         match expr:
             case kir.Const(value, type):
-                _require(_is_constant(value, type, type.shape), expr, f"{value!r} is no {type!r}")
+                if not _is_constant(value, type, type.shape):
+                    raise CompilerBug(_message(expr, f"{value!r} is no {type!r}"))
             case kir.Uniform(index):
                 _require(0 <= index < len(self.kernel.uniforms), expr, f"there is no uniform {index}")
                 return self.kernel.uniforms[index].type
@@ -236,9 +245,8 @@ class _Verifier:
                 _require(bool(type.shape), expr, "a splat is of a vector or matrix")
                 self.same(type.scalar, operand, expr)
             case kir.Build(elements, type):
-                _require(
-                    bool(type.shape) and len(elements) == type.size, expr, f"{len(elements)} elements for {type!r}"
-                )
+                if not type.shape or len(elements) != type.size:
+                    raise CompilerBug(_message(expr, f"{len(elements)} elements for {type!r}"))
                 for element in elements:
                     self.same(type.scalar, element, expr)
             case kir.Component(operand, indices):
@@ -273,8 +281,8 @@ class _Verifier:
             case kir.Binary(op, left, right):
                 self.same(left.type, right, expr)
                 types = binary_type(op, left.type, right.type)
-                known = op in (*ARITHMETIC, *BITWISE, *SHIFTS) and not isinstance(types, Mismatch)
-                _require(known and (op != "/" or is_float(left.type)), expr, f"no operator {op} on {left.type!r}")
+                if op not in _BINARY or isinstance(types, Mismatch) or (op == "/" and not is_float(left.type)):
+                    raise CompilerBug(_message(expr, f"no operator {op} on {left.type!r}"))
                 return left.type
             case kir.Compare(op, left, right):
                 self.same(left.type, right, expr)
@@ -301,7 +309,8 @@ class _Verifier:
         signature = row.signature(types)
         if isinstance(signature, Complaint):
             raise CompilerBug(_message(expr, f"{expr.builtin} {signature.text}"))
-        _require(signature.arguments == types, expr, f"{expr.builtin} takes {signature.arguments}, not {types}")
+        if signature.arguments != types:
+            raise CompilerBug(_message(expr, f"{expr.builtin} takes {signature.arguments}, not {types}"))
         return signature.result
 
     def affine(self, expr: kir.Affine) -> None:
@@ -312,11 +321,15 @@ class _Verifier:
 
 def _part(type: Type, indices: tuple[kir.Expr, ...], where: kir.Stmt | kir.Expr) -> Type:
     """The type of the part of a ``type`` that ``indices`` select."""
-    _require(len(indices) <= len(type.shape), where, f"{len(indices)} indices into {type!r}")
+    if not indices:
+        return type
+    if len(indices) > len(type.shape):
+        raise CompilerBug(_message(where, f"{len(indices)} indices into {type!r}"))
     for index, extent in zip(indices, type.shape, strict=False):
-        _require(is_integer(index.type) and not index.type.shape, where, f"an index is a {index.type!r}")
-        if isinstance(index, kir.Const):
-            _require(0 <= index.value < extent, where, f"the constant index {index.value} is not in range({extent})")
+        if not is_integer(index.type) or index.type.shape:
+            raise CompilerBug(_message(where, f"an index is a {index.type!r}"))
+        if isinstance(index, kir.Const) and not 0 <= index.value < extent:
+            raise CompilerBug(_message(where, f"the constant index {index.value} is not in range({extent})"))
     return shaped_type(type.scalar, type.shape[len(indices) :])
 
 

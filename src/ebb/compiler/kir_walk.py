@@ -2,27 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
+from operator import attrgetter, is_
+from typing import Any, TypeAlias
 
 from ebb.compiler import kir
 from ebb.compiler.kir import Body, Expr, Stmt
 from ebb.records import replace
 from ebb.relations.field import Field
 
-_OPERANDS: tuple[tuple[Callable[[Any], tuple[Expr, ...]], tuple[type[Expr], ...]], ...] = (
-    (lambda expr: (), (kir.Const, kir.Uniform, kir.ReadLocal, kir.ReadGlobal, kir.Random)),
+_Operands: TypeAlias = Callable[[Any], tuple[Expr, ...]]
+_Inside: TypeAlias = Callable[[Any], tuple[Body, ...]]
+
+_LEAVES: tuple[type[Any], ...] = (kir.Const, kir.Uniform, kir.ReadLocal, kir.ReadGlobal, kir.Random)
+
+_EXPRESSIONS: tuple[tuple[_Operands, tuple[type[Any], ...]], ...] = (
     (lambda expr: (expr.key,), (kir.ReadField, kir.Affine, kir.RowId, kir.Coords, kir.QuerySize)),
     (lambda expr: (expr.operand,), (kir.Unary, kir.Cast, kir.Splat, kir.RowAt)),
-    (lambda expr: (expr.left, expr.right), (kir.Binary, kir.Compare, kir.Logic)),
-    (lambda expr: (expr.condition, expr.then, expr.other), (kir.Choose,)),
-    (lambda expr: expr.elements, (kir.Build,)),
+    (attrgetter("left", "right"), (kir.Binary, kir.Compare, kir.Logic)),
+    (attrgetter("condition", "then", "other"), (kir.Choose,)),
+    (attrgetter("elements"), (kir.Build,)),
     (lambda expr: (expr.operand, *expr.indices), (kir.Component,)),
-    (lambda expr: expr.arguments, (kir.Call,)),
+    (attrgetter("arguments"), (kir.Call,)),
 )
 
-_CHILDREN = {kind: take for take, kinds in _OPERANDS for kind in kinds}
-"""By type: kernels are walked so often that to try one type after the other took a tenth of a compilation."""
+_STATEMENTS: tuple[tuple[_Operands, tuple[type[Any], ...]], ...] = (
+    (lambda stmt: (*stmt.indices, stmt.value), (kir.Assign, kir.ReduceGlobal)),
+    (lambda stmt: (stmt.key, *stmt.indices, stmt.value), (kir.WriteField, kir.ReduceField)),
+    (lambda stmt: (stmt.condition,), (kir.If, kir.While, kir.Assert)),
+    (attrgetter("start", "stop", "step"), (kir.ForRange,)),
+    (lambda stmt: (stmt.key,), (kir.ForQuery,)),
+    (lambda stmt: tuple([part[0] for part in stmt.parts if not isinstance(part, str)]), (kir.Print,)),
+    (lambda stmt: (), (kir.Break, kir.Continue, kir.Block, kir.Leave, kir.Breakpoint)),
+)
+
+_BODIES: tuple[tuple[_Inside, tuple[type[Any], ...]], ...] = (
+    (attrgetter("then", "orelse"), (kir.If,)),
+    (lambda stmt: (stmt.body,), (kir.ForRange, kir.ForQuery, kir.While, kir.Block)),
+)
+
+# By type: kernels are walked so often that to try one type after the other took a tenth of a compilation.
+_INNER: dict[type[Any], _Operands] = {kind: take for take, kinds in _EXPRESSIONS for kind in kinds}
+_CHILDREN: dict[type[Any], _Operands] = {**_INNER, **dict.fromkeys(_LEAVES, lambda _: ())}
+_OPERANDS: dict[type[Any], _Operands] = {kind: take for take, kinds in _STATEMENTS for kind in kinds}
+_INSIDE: dict[type[Any], _Inside] = {kind: take for take, kinds in _BODIES for kind in kinds}
 
 
 def children(expr: Expr) -> tuple[Expr, ...]:
@@ -32,40 +55,29 @@ def children(expr: Expr) -> tuple[Expr, ...]:
 
 def operands(stmt: Stmt) -> tuple[Expr, ...]:
     """The expressions that stand in ``stmt`` itself, not in the bodies inside it."""
-    match stmt:
-        case kir.Assign() | kir.ReduceGlobal():
-            return (*stmt.indices, stmt.value)
-        case kir.WriteField() | kir.ReduceField():
-            return (stmt.key, *stmt.indices, stmt.value)
-        case kir.If() | kir.While() | kir.Assert():
-            return (stmt.condition,)
-        case kir.ForRange():
-            return (stmt.start, stmt.stop, stmt.step)
-        case kir.ForQuery():
-            return (stmt.key,)
-        case kir.Print():
-            return tuple(part[0] for part in stmt.parts if not isinstance(part, str))
-        case kir.Break() | kir.Continue() | kir.Block() | kir.Leave() | kir.Breakpoint():
-            return ()
+    return _OPERANDS[type(stmt)](stmt)
 
 
 def bodies(stmt: Stmt) -> tuple[Body, ...]:
     """The bodies inside ``stmt``."""
-    match stmt:
-        case kir.If():
-            return (stmt.then, stmt.orelse)
-        case kir.ForRange() | kir.ForQuery() | kir.While() | kir.Block():
-            return (stmt.body,)
-        case _:
-            return ()
+    take = _INSIDE.get(type(stmt))
+    return () if take is None else take(stmt)
 
 
-def statements(body: Body) -> Iterator[Stmt]:
+def statements(body: Body) -> list[Stmt]:
     """All statements in ``body``, at any depth, in source order."""
+    found: list[Stmt] = []
+    _collect_statements(body, found)
+    return found
+
+
+def _collect_statements(body: Body, found: list[Stmt]) -> None:
     for stmt in body:
-        yield stmt
-        for inner in bodies(stmt):
-            yield from statements(inner)
+        found.append(stmt)
+        take = _INSIDE.get(type(stmt))
+        if take is not None:
+            for inner in take(stmt):
+                _collect_statements(inner, found)
 
 
 def subexpressions(expr: Expr) -> list[Expr]:
@@ -76,8 +88,10 @@ def subexpressions(expr: Expr) -> list[Expr]:
 
 
 def _collect(expr: Expr, found: list[Expr]) -> None:
-    for child in children(expr):
-        _collect(child, found)
+    take = _INNER.get(type(expr))
+    if take is not None:
+        for child in take(expr):
+            _collect(child, found)
     found.append(expr)
 
 
@@ -85,28 +99,32 @@ def expressions(body: Body) -> list[Expr]:
     """All expressions in ``body``, at any depth."""
     found: list[Expr] = []
     for stmt in statements(body):
-        for operand in operands(stmt):
+        for operand in _OPERANDS[type(stmt)](stmt):
             _collect(operand, found)
     return found
 
 
 def queried_fields(kernel: kir.Kernel) -> tuple[Field, ...]:
     """The grouped key fields whose index the kernel uses, each once, in source order."""
-    loops = (stmt.index for stmt in statements(kernel.body) if isinstance(stmt, kir.ForQuery))
-    sizes = (node.index for node in expressions(kernel.body) if isinstance(node, kir.QuerySize))
+    loops = [stmt.index for stmt in statements(kernel.body) if isinstance(stmt, kir.ForQuery)]
+    sizes = [node.index for node in expressions(kernel.body) if isinstance(node, kir.QuerySize)]
     return tuple(dict.fromkeys((*loops, *sizes)))
 
 
 def draws(kernel: kir.Kernel) -> bool:
     """Whether the kernel draws random numbers, so that each of its launches has a number of its own."""
-    return any(isinstance(node, kir.Random) for node in expressions(kernel.body))
+    # A random number is the whole right side of an assignment, and stands nowhere else.
+    return any(
+        [isinstance(stmt, kir.Assign) and isinstance(stmt.value, kir.Random) for stmt in statements(kernel.body)]
+    )
 
 
 def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
     """A copy of ``expr`` with ``change`` applied to each operand; ``expr`` itself where none changes."""
-    old = children(expr)
-    new = tuple(change(child) for child in old)
-    if all(before is after for before, after in zip(old, new, strict=True)):
+    take = _INNER.get(type(expr))
+    old = () if take is None else take(expr)
+    new = tuple([change(child) for child in old])
+    if all(map(is_, old, new)):
         return expr
     match expr:
         case kir.ReadField() | kir.Affine() | kir.RowId() | kir.Coords() | kir.QuerySize():
@@ -130,8 +148,8 @@ def map_children(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
 def map_operands(stmt: Stmt, change: Callable[[Expr], Expr]) -> Stmt:
     """A copy of ``stmt`` with ``change`` applied to each of its own expressions; ``stmt`` itself where none changes."""
     old = operands(stmt)
-    new = tuple(change(operand) for operand in old)
-    if all(before is after for before, after in zip(old, new, strict=True)):
+    new = tuple([change(operand) for operand in old])
+    if all(map(is_, old, new)):
         return stmt
     match stmt:
         case kir.Assign() | kir.ReduceGlobal():
@@ -155,9 +173,12 @@ def map_operands(stmt: Stmt, change: Callable[[Expr], Expr]) -> Stmt:
 
 def map_bodies(stmt: Stmt, change: Callable[[Body], Body]) -> Stmt:
     """A copy of ``stmt`` with ``change`` applied to each body inside it; ``stmt`` itself where none changes."""
-    old = bodies(stmt)
-    new = tuple(change(body) for body in old)
-    if all(before is after for before, after in zip(old, new, strict=True)):
+    take = _INSIDE.get(type(stmt))
+    if take is None:
+        return stmt
+    old = take(stmt)
+    new = tuple([change(body) for body in old])
+    if all(map(is_, old, new)):
         return stmt
     match stmt:
         case kir.If():
@@ -170,5 +191,5 @@ def map_bodies(stmt: Stmt, change: Callable[[Body], Body]) -> Stmt:
 
 def map_body(body: Body, change: Callable[[Expr], Expr]) -> Body:
     """A copy of ``body`` with ``change`` applied to the expressions of its statements, at any depth."""
-    new = tuple(map_operands(map_bodies(stmt, lambda inner: map_body(inner, change)), change) for stmt in body)
-    return body if all(before is after for before, after in zip(body, new, strict=True)) else new
+    new = tuple([map_operands(map_bodies(stmt, lambda inner: map_body(inner, change)), change) for stmt in body])
+    return body if all(map(is_, body, new)) else new

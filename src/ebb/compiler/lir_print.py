@@ -20,7 +20,7 @@ def text(program: lir.Program) -> str:
 
 def statement(stmt: lir.Stmt) -> str:
     """One statement as text, with the bodies inside it."""
-    return "\n".join(_statement(stmt))
+    return "\n".join(_body((stmt,), ""))
 
 
 def _program(program: lir.Program) -> Iterator[str]:
@@ -71,69 +71,83 @@ def _binding(binding: lir.SlotBinding | lir.ArgumentBinding) -> str:  # noqa: C9
             return f"random {binding.value}"
 
 
-def _body(body: lir.Body) -> Iterator[str]:
+def _body(body: lir.Body, indent: str = _INDENT) -> list[str]:
+    lines: list[str] = []
+    _add(body, indent, lines)
+    return lines
+
+
+def _add(body: lir.Body, indent: str, lines: list[str]) -> None:
+    """Appends the lines of ``body``."""
     for stmt in body:
-        for line in _statement(stmt):
-            yield _INDENT + line
+        if isinstance(stmt, lir.Let):  # most are
+            temp = stmt.temp
+            lines.append(f"{indent}%{temp.number}: {temp.type!r} = {_operation(stmt.operation)}")
+        else:
+            _add_statement(stmt, indent, lines)
 
 
-def _statement(stmt: lir.Stmt) -> Iterator[str]:  # noqa: C901 - one case a kind of statement
+def _add_statement(stmt: lir.Stmt, indent: str, lines: list[str]) -> None:  # noqa: C901 - one case a kind of statement
+    inner = indent + _INDENT
     match stmt:
-        case lir.Let(temp, operation):
-            yield f"{_temp(temp)}: {temp.type!r} = {_operation(operation)}"
+        case lir.Let():
+            _add((stmt,), indent, lines)
         case lir.Declare(var):
             shared = "group " if var.memory is lir.Memory.GROUP else ""
-            yield f"{shared}var {_var(var)}: {var.type!r}[{var.size}]"
+            lines.append(f"{indent}{shared}var {_var(var)}: {var.type!r}[{var.size}]")
         case lir.StoreVar(var, index, stored):
-            yield f"{_var(var)}[{value(index)}] = {value(stored)}"
+            lines.append(f"{indent}{_var(var)}[{value(index)}] = {value(stored)}")
         case lir.Store(slot, index, stored):
-            yield f"s{slot.number}[{value(index)}] = {value(stored)}"
+            lines.append(f"{indent}s{slot.number}[{value(index)}] = {value(stored)}")
         case lir.AtomicUpdate(slot, index, op, added):
-            yield f"atomic s{slot.number}[{value(index)}] {op} {value(added)}"
+            lines.append(f"{indent}atomic s{slot.number}[{value(index)}] {op} {value(added)}")
         case lir.Accumulate(var, index, op, added):
-            yield f"accumulate {_var(var)}[{value(index)}] {op} {value(added)}"
+            lines.append(f"{indent}accumulate {_var(var)}[{value(index)}] {op} {value(added)}")
         case lir.If(condition, then, orelse):
-            yield f"if {value(condition)}:"
-            yield from _body(then)
+            lines.append(f"{indent}if {value(condition)}:")
+            _add(then, inner, lines)
             if orelse:
-                yield "else:"
-                yield from _body(orelse)
+                lines.append(f"{indent}else:")
+                _add(orelse, inner, lines)
         case lir.For(counter, start, stop, body, turns):
             order = ", in any order" if turns is lir.Turns.ANY_ORDER else ""
-            yield f"for {_temp(counter)}: {counter.type!r} in {value(start)} .. {value(stop)}{order}:"
-            yield from _body(body)
+            lines.append(f"{indent}for {_temp(counter)}: {counter.type!r} in {value(start)} .. {value(stop)}{order}:")
+            _add(body, inner, lines)
         case lir.While(head, condition, body):
-            yield "while:"
-            yield from _body(head)
-            yield f"holds {value(condition)}:"
-            yield from _body(body)
+            lines.append(f"{indent}while:")
+            _add(head, inner, lines)
+            lines.append(f"{indent}holds {value(condition)}:")
+            _add(body, inner, lines)
         case lir.Block(label, body):
-            yield f"block {_label(label)}:"
-            yield from _body(body)
+            lines.append(f"{indent}block {_label(label)}:")
+            _add(body, inner, lines)
         case lir.Leave(label):
-            yield f"leave {_label(label)}"
+            lines.append(f"{indent}leave {_label(label)}")
         case lir.RowLoop() | lir.Barrier() | lir.Fail() | lir.Print():
-            yield from _row_statement(stmt)
+            _add_row_statement(stmt, indent, lines)
 
 
-def _row_statement(stmt: lir.RowLoop | lir.Barrier | lir.Fail | lir.Print) -> Iterator[str]:
+def _add_row_statement(
+    stmt: lir.RowLoop | lir.Barrier | lir.Fail | lir.Print, indent: str, lines: list[str]
+) -> None:  # fmt: skip
+    inner = indent + _INDENT
     match stmt:
         case lir.RowLoop(index, rows, body, inside, streaming):
-            yield f"rows {_values(index)}, {rows.value}:"
-            yield from _body(body)
+            lines.append(f"{indent}rows {_values(index)}, {rows.value}:")
+            _add(body, inner, lines)
             if inside is not None:
                 before, after = inside.ends
-                yield f"inside, from {before} to {after} before a{inside.length.number}:"
-                yield from _body(inside.body)
+                lines.append(f"{indent}inside, from {before} to {after} before a{inside.length.number}:")
+                _add(inside.body, inner, lines)
             if streaming is not None:
-                yield from (f"streams {_place(place)}" for place in streaming.written)
-                yield from (f"ahead {_place(place)}" for place in streaming.ahead)
+                lines += [f"{indent}streams {_place(place)}" for place in streaming.written]
+                lines += [f"{indent}ahead {_place(place)}" for place in streaming.ahead]
         case lir.Barrier():
-            yield "barrier"
+            lines.append(f"{indent}barrier")
         case lir.Fail(site, position, payload):
-            yield f"fail {site} at {value(position)} ({_values(payload)})"
+            lines.append(f"{indent}fail {site} at {value(position)} ({_values(payload)})")
         case lir.Print(number, slot, position, values):
-            yield f"print {number} into s{slot.number} at {value(position)} ({_values(values)})"
+            lines.append(f"{indent}print {number} into s{slot.number} at {value(position)} ({_values(values)})")
 
 
 def _place(place: lir.RowPlace) -> str:
@@ -164,17 +178,15 @@ def _operation(operation: lir.Operation) -> str:
 
 def value(operand: lir.Value) -> str:
     """A temporary by its number, a literal with its type unless that is int64, as indices are."""
-    match operand:
-        case lir.Temp():
-            return _temp(operand)
-        case lir.Literal(literal, scalar) if scalar == int64:
-            return repr(literal)
-        case lir.Literal(literal, scalar):
-            return f"{literal!r}:{scalar!r}"
+    if isinstance(operand, lir.Temp):
+        return f"%{operand.number}"
+    if operand.type == int64:
+        return repr(operand.value)
+    return f"{operand.value!r}:{operand.type!r}"
 
 
 def _values(values: Iterable[lir.Value]) -> str:
-    return ", ".join(value(operand) for operand in values)
+    return ", ".join([value(operand) for operand in values])
 
 
 def _temp(temp: lir.Temp) -> str:

@@ -1,7 +1,7 @@
 """The passes over KIR, in order, and the one driver that runs them.
 
-A pass is a pure function ``Kernel -> Kernel`` in a file of its own under ``passes``. After each the driver checks the
-kernel, so that a fault is blamed on the pass that made it, and logs its time (logger ``ebb.compiler``, DEBUG).
+A pass is a pure function ``Kernel -> Kernel`` in a file of its own under ``passes``. What each makes is verified, so
+that a fault is blamed on the pass that made it; the driver logs its time (logger ``ebb.compiler``, DEBUG).
 Where the environment variable ``EBB_DUMP`` asks for it, it prints the kernel to stderr: ``EBB_DUMP=all`` after
 elaboration and each pass that changes something, ``EBB_DUMP=step,move`` only for the kernels of these names.
 """
@@ -27,13 +27,58 @@ Pass: TypeAlias = Callable[[kir.Kernel], kir.Kernel]
 PASSES: tuple[Pass, ...] = (fold_constants, prune_branches, flatten_blocks, simplify_powers)
 
 
-def run_passes(kernel: kir.Kernel, passes: Sequence[Pass] = PASSES) -> kir.Kernel:
-    """``kernel`` after ``passes``.
+class Unverified:
+    """What the elaborator and the passes made of one kernel, as long as nobody has had to verify it.
+
+    What a program in the cache was compiled of had been verified, so only what is compiled or interpreted needs to be.
+    """
+
+    def __init__(self) -> None:
+        self._stages: list[tuple[kir.Kernel, str]] = []
+
+    def add(self, kernel: kir.Kernel, stage: str) -> None:
+        """Takes down what ``stage`` made."""
+        self._stages.append((kernel, stage))
+
+    def verify(self) -> None:
+        """Verifies all, once.
+
+        Raises:
+            CompilerBug: the elaborator or a pass made a kernel that is none.
+        """
+        for kernel, stage in self._stages:
+            verify_stage(kernel, stage)
+        self._stages.clear()
+
+
+def verify_stage(kernel: kir.Kernel, stage: str) -> None:
+    """Verifies ``kernel``, which ``stage`` made.
 
     Raises:
-        CompilerBug: the elaborator or a pass made a kernel that is none.
+        CompilerBug: it is no kernel.
     """
-    _verify(kernel, "elaborate")
+    try:
+        verify_kernel(kernel)
+    except CompilerBug as bug:
+        raise CompilerBug(f"kernel {kernel.name!r} after {stage}: {bug}") from bug
+
+
+def run_passes(
+    kernel: kir.Kernel,
+    passes: Sequence[Pass] = PASSES,
+    made: Callable[[kir.Kernel, str], None] = verify_stage,
+) -> kir.Kernel:
+    """``kernel`` after ``passes``.
+
+    Args:
+        kernel: what the elaborator made.
+        passes: what changes it, one after the other.
+        made: is told of each kernel and of the stage that made it.
+
+    Raises:
+        CompilerBug: the elaborator or a pass made a kernel that is none, where ``made`` verifies.
+    """
+    made(kernel, "elaborate")
     dump(kernel.name, "elaborate", partial(kir_print.text, kernel))
     for run_pass in passes:
         start = time.perf_counter()
@@ -41,17 +86,10 @@ def run_passes(kernel: kir.Kernel, passes: Sequence[Pass] = PASSES) -> kir.Kerne
         name = run_pass.__name__
         log_time(kernel.name, name, start)
         if changed is not kernel and changed.body is not kernel.body:
-            _verify(changed, name)
+            made(changed, name)
             dump(kernel.name, name, partial(kir_print.text, changed))
         kernel = changed
     return kernel
-
-
-def _verify(kernel: kir.Kernel, stage: str) -> None:
-    try:
-        verify_kernel(kernel)
-    except CompilerBug as bug:
-        raise CompilerBug(f"kernel {kernel.name!r} after {stage}: {bug}") from bug
 
 
 def log_time(kernel: str, stage: str, start: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+import struct
 from collections.abc import Iterator, Mapping
 from functools import cache
 
@@ -46,11 +47,31 @@ def external_symbols(image: bytes) -> Mapping[str, int]:
 
     Looking up all of them, and handing each to the linker, would take longer than all else of a launch from the cache.
     """
-    # The names stand in the object's table of strings, where "sin" may be the end of "asin": rather one too many.
-    named = [name for name, ended in _NAMES.items() if ended in image]
-    named += sorted({name.decode() for name in _VECTOR_NAME.findall(image)})
+    # In a table of strings "sin" may be the end of "asin": rather one too many.
+    strings = _strings(image)
+    named = [name for name, ended in _NAMES.items() if ended in strings]
+    named += sorted({name.decode() for name in _VECTOR_NAME.findall(strings)})
     found = {name: _address(name) for name in named}
     return {name: address for name, address in found.items() if address is not None}
+
+
+_ELF64 = b"\x7fELF\x02\x01"
+_STRINGS = 3  # SHT_STRTAB
+
+
+def _strings(image: bytes) -> bytes:
+    """The tables of strings of a 64-bit ELF object, in which all names stand; of other formats the whole object."""
+    if not image.startswith(_ELF64):
+        return image
+    (headers,) = struct.unpack_from("<Q", image, 0x28)
+    size, count = struct.unpack_from("<HH", image, 0x3A)
+    tables = b""
+    for header in range(headers, headers + size * count, size):
+        (kind,) = struct.unpack_from("<I", image, header + 4)
+        if kind == _STRINGS:
+            offset, length = struct.unpack_from("<QQ", image, header + 24)
+            tables += image[offset : offset + length]
+    return tables
 
 
 @cache

@@ -8,6 +8,7 @@ cast it to the element type and to repeat it in every component.
 from __future__ import annotations
 
 from enum import Enum
+from functools import cache
 
 from ebb.records import record
 from ebb.types.types import (
@@ -224,6 +225,11 @@ def binary_type(op: str, left: Type, right: Type) -> OperatorTypes | Mismatch:
     """The types of ``left op right`` for ``+ - * / // % ** min max & | ^ << >> @``."""
     if is_key(left) or is_key(right):
         return Mismatch(Reason.KEYS, op, left, right)
+    return _number_type(op, left, right)
+
+
+@cache  # of a few types, none of which refers to a relation
+def _number_type(op: str, left: Type, right: Type) -> OperatorTypes | Mismatch:
     if op == "@":
         return matmul_type(left, right)
     complaint = _element_mismatch(op, left, right)

@@ -116,7 +116,7 @@ class CpuExecutable(CompiledExecutable[CpuCode, Binding]):
 
     def _load(self, program: lir.Program) -> CpuCode:
         backend = self._backend
-        return backend.processor.load(program.name, object_code(program, host(), backend.cache))
+        return backend.processor.load(program.name, object_code(program, host(), backend.cache, self.checked.verify))
 
     def _attach(self, step: Step, program: lir.Program, code: CpuCode, rows: RowSet) -> Binding:
         return Binding(step.kernel, program, code, self._backend.processor, rows)

@@ -101,7 +101,7 @@ class DeviceExecutable(CompiledExecutable[tuple[Entry, ...], DeviceBinding]):
         lacking = needs(program) & backend.device.lacks
         if lacking:
             raise BackendError(_lacks(backend.device, program.name, lacking))
-        image = object_code(program, backend.target, backend.cache)
+        image = object_code(program, backend.target, backend.cache, self.checked.verify)
         return backend.device.load(program.name, image, program.entries)
 
     def _attach(self, step: Step, program: lir.Program, code: tuple[Entry, ...], rows: RowSet) -> DeviceBinding:

@@ -75,6 +75,7 @@ class ReferenceBackend:
 
     def prepare(self, checked: CheckedKernel) -> ReferenceExecutable:
         """The kernel is run as it is."""
+        checked.verify()
         return ReferenceExecutable(checked.kernel, checked.phases)
 
     def replay(self, operations: Sequence[Operation]) -> None:

@@ -83,8 +83,11 @@ class Builder:
         return temp
 
     def binary(self, op: str, left: lir.Value, right: lir.Value) -> lir.Value:
-        folded = _fold(op, left, right) if left.type == int64 else None
-        return folded if folded is not None else self.let(lir.Binary(op, left, right), left.type)
+        if (isinstance(left, lir.Literal) or isinstance(right, lir.Literal)) and left.type == int64:
+            folded = _fold(op, left, right)
+            if folded is not None:
+                return folded
+        return self.let(lir.Binary(op, left, right), left.type)
 
     def compare(self, op: str, left: lir.Value, right: lir.Value) -> lir.Value:
         return self.let(lir.Compare(op, left, right), bool_)

@@ -19,8 +19,13 @@ def fold_constants(kernel: kir.Kernel) -> kir.Kernel:
         return replace(kernel, body=map_body(kernel.body, _fold))
 
 
+_FOLDED = (kir.Unary, kir.Binary, kir.Compare, kir.Cast, kir.Splat, kir.Logic, kir.Choose, kir.Build, kir.Component)
+
+
 def _fold(expr: kir.Expr) -> kir.Expr:
     folded = map_children(expr, _fold)
+    if not isinstance(folded, _FOLDED):
+        return folded
     match folded:
         case kir.Unary(op, kir.Const() as operand):
             return _const(arithmetic.UNARY[op](_numpy(operand)), folded)

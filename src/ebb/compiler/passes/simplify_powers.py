@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import map_bodies, map_children, map_operands, statements
+from ebb.compiler.kir_walk import expressions, map_bodies, map_children, map_operands, statements
 from ebb.records import field, record, replace
 from ebb.types.types import Kind, ScalarType
 
 
 def simplify_powers(kernel: kir.Kernel) -> kir.Kernel:
     """``kernel`` with powers of the exponents -1, 0.5, 1, 2, 3 and 4 as cheaper operators; of integers 1 to 4 only."""
+    if not any([isinstance(expr, kir.Binary) and expr.op == "**" for expr in expressions(kernel.body)]):
+        return kernel
     used = [stmt.local.uid for stmt in statements(kernel.body) if isinstance(stmt, _BINDS)]
     return replace(kernel, body=_Powers(max(used, default=0) + kernel.row.uid + 1).rewrite(kernel.body))
 

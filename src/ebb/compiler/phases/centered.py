@@ -11,6 +11,9 @@ from ebb.records import record
 from ebb.relations.relation import Relation
 
 
+_BINDS = (kir.Assign, kir.ForRange, kir.ForQuery)
+
+
 @record
 class Centered:
     """The locals of one kernel that hold its own row, by ``uid``."""
@@ -62,6 +65,4 @@ def is_identity(matrix: tuple[tuple[kir.Entry, ...], ...]) -> bool:
 
 def _assigned_uids(kernel: kir.Kernel) -> Counter[int]:
     """How many statements of the kernel bind each local."""
-    return Counter(
-        stmt.local.uid for stmt in statements(kernel.body) if isinstance(stmt, kir.Assign | kir.ForRange | kir.ForQuery)
-    )
+    return Counter([stmt.local.uid for stmt in statements(kernel.body) if isinstance(stmt, _BINDS)])
