@@ -17,7 +17,7 @@ from ebb.backends.llvm.lines import emit_line, emit_streaming, streams
 from ebb.backends.llvm.rare import emit_rare, plan_rare
 from ebb.backends.llvm.row_plan import RowPlan, plan_rows
 from ebb.backends.llvm.row_strips import emit_row_strips
-from ebb.backends.llvm.statements import AS_IT_IS, StatementEmitter
+from ebb.backends.llvm.statements import AS_IT_IS, NO_VECTORS, StatementEmitter
 from ebb.backends.llvm.strides import is_unit
 from ebb.backends.llvm.writer import ModuleWriter
 from ebb.compiler import lir
@@ -29,9 +29,6 @@ _WHOLE = '!"llvm.loop.vectorize.predicate.enable", i1 true'
 
 _ONE_AT_A_TIME = '!"llvm.loop.interleave.count", i32 1'
 """What makes LLVM take one register at a time: whole ones are all that there are."""
-
-_NO_VECTORS = '!"llvm.loop.vectorize.enable", i1 false'
-"""What keeps LLVM from making vectors of rows that hardly ever run."""
 
 
 def write_block(program: lir.Program, module: ModuleWriter) -> None:
@@ -103,6 +100,8 @@ class _BlockEmitter(StatementEmitter):
             if streaming:
                 notes.append(_ONE_AT_A_TIME)
             metadata = self.loop_notes(*notes)
+        elif self.must_not_be_vectors(stmt.body, stmt.index[-1]):
+            metadata = self.loop_notes(NO_VECTORS)
         self.row_nest(stmt, 0, metadata, streaming)
         self.access_group = None
 
@@ -141,7 +140,7 @@ class _BlockEmitter(StatementEmitter):
             elif loop.inside is not None:
                 emit_line(self, loop, metadata)
             elif (strips := self.strips_of(loop)) is not None:
-                notes = self.loop_notes(*AS_IT_IS), self.loop_notes(_NO_VECTORS)
+                notes = self.loop_notes(*AS_IT_IS), self.loop_notes(NO_VECTORS)
                 emit_row_strips(self, loop, strips, Flags(self.flags, self.sum_flags), self.bounds(d), notes)
             elif (plan := plan_rare(loop)) is not None:
                 emit_rare(self, loop, plan, self.bounds(d))

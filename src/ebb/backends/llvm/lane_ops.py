@@ -50,7 +50,7 @@ def identity(op: str, scalar: ScalarType) -> str:
     """Lanes that change nothing under ``op``."""
     # -0.0, for 0.0 would make 0.0 of a sum that is -0.0.
     plus = op == "+" and scalar.kind is Kind.FLOAT
-    neutral = -0.0 if plus else identity_of(op, scalar.dtype).item()
+    neutral = -0.0 if plus else identity_of("+" if op == "-" else op, scalar.dtype).item()
     return f"splat ({ops.llvm_type(scalar)} {ops.literal(neutral, scalar)})"
 
 

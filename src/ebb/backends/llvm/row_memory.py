@@ -261,8 +261,8 @@ class RowMemory:
     def load_columns(self, slot: lir.Slot, row: _Row, column: int) -> None:
         """Loads, lane by lane, ``column`` and what else has been asked for of the four columns that it is one of."""
         first = column - column % 4
-        asked = sorted(each for each in self.asked.get(row, {column}) if first <= each < first + 4)
-        low, high = (asked[0], asked[-1] + 1) if asked else (column, column + 1)
+        asked = sorted(each for each in {column, *self.asked.get(row, ())} if first <= each < first + 4)
+        low, high = asked[0], asked[-1] + 1
         width = _width(high - low)
         memory = ops.memory_type(slot.type)
         element = memory if width == 1 else f"<{width} x {memory}>"
@@ -353,7 +353,7 @@ class RowMemory:
     def change_rows(self, row: _Row, slot: lir.Slot, op: str, columns: dict[int, str]) -> None:
         """Changes a row in each lane: one line of memory at once, or lane by lane."""
         _, root, scale, _, _ = row
-        nothing = identity("+" if op == "-" else op, slot.type)
+        nothing = identity(op, slot.type)
         whole = [columns.get(c, nothing) for c in range(scale)]
         if root is None and scale <= MOST_SHUFFLED:
             for k, part in enumerate(side_by_side(self.w, ops.memory_type(slot.type), whole)):

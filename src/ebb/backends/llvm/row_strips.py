@@ -188,7 +188,7 @@ class _RowStrips:
         update = self.plan.updates.get(id(stmt))
         if update is not None:
             op, scalar, value = update.op, update.value.type, self.wide(update.value)
-            nothing = identity("+" if op == "-" else op, scalar)
+            nothing = identity(op, scalar)
             masked = self.v.select(self.active, scalar, value, nothing)
             self.after_checks(lambda: self.memory.change(stmt.slot, place, op, masked))
             return

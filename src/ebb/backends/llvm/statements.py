@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from ebb.backends.llvm import atomics, ops
 from ebb.backends.llvm.hooks import Strips
 from ebb.backends.llvm.lanes import Flags, emit_strips
+from ebb.backends.llvm.strides import meets_itself
 from ebb.backends.llvm.strips import plan_strips
 from ebb.backends.llvm.unroll import FULLY, is_unrolled
 from ebb.backends.llvm.vector_math import VectorForms
@@ -25,6 +26,9 @@ _REGROUPED = " reassoc nsz contract"
 
 AS_IT_IS = ('!"llvm.loop.isvectorized", i32 1', '!"llvm.loop.unroll.disable"')
 """What tells LLVM to leave a loop alone: that it is vectorised, and that it is not to be unrolled."""
+
+NO_VECTORS = '!"llvm.loop.vectorize.enable", i1 false'
+"""What keeps LLVM from making vectors of the turns of a loop."""
 
 
 class StatementEmitter(ABC):
@@ -212,20 +216,27 @@ class StatementEmitter(ABC):
         self.w.branch_if(self.value(stmt.condition), turn, done)
         self.w.start(turn)
         self.body(stmt.body)
-        self.w.branch(head)
+        notes = self.loop_notes(NO_VECTORS) if self.must_not_be_vectors((*stmt.head, *stmt.body)) else ""
+        self.w.do(f"br label %{head}{notes}")
         self.w.start(done)
 
     def for_(self, stmt: lir.For) -> None:
         """In strips where the order of the turns means nothing, the target is for it, and the body is fit."""
-        plan, metadata = None, ""
+        plan = None
         if stmt.turns is lir.Turns.ANY_ORDER and self.module.hooks.strips is Strips.MASKED:
             plan = plan_strips(stmt, self.variable_reads, self.module.hooks.vector_math)
         if plan is None:
-            if self.module.hooks.groups is None and is_unrolled(stmt):
-                metadata = self.loop_notes(FULLY)
+            notes = [FULLY] if self.module.hooks.groups is None and is_unrolled(stmt) else []
+            if self.must_not_be_vectors(stmt.body, stmt.counter):
+                notes.append(NO_VECTORS)
+            metadata = self.loop_notes(*notes) if notes else ""
             self.count(stmt.counter, self.value(stmt.start), self.value(stmt.stop), stmt.body, metadata)
             return
         emit_strips(self, stmt, plan, Flags(self.flags, self.sum_flags), self.loop_notes(*AS_IT_IS))
+
+    def must_not_be_vectors(self, body: lir.Body, *counters: lir.Temp) -> bool:
+        """Whether LLVM must be kept from making vectors of the turns of a loop; on groups it never does."""
+        return self.module.hooks.groups is None and meets_itself(body, counters)
 
     def loop_notes(self, *notes: str) -> str:
         """What says so of a loop, at its end."""

@@ -22,11 +22,20 @@ def is_even(body: lir.Body, counter: lir.Temp, sizes: dict[int, int]) -> bool:
     return _Steps(counter).all_even(body, sizes)
 
 
+def meets_itself(body: lir.Body, counters: tuple[lir.Temp, ...]) -> bool:
+    """Whether a turn may change what a later one reads, at places of which nothing is known, as behind a key.
+
+    LLVM 22 makes vectors of such loops, and loses changes where turns of one vector meet, if it has to compare other
+    addresses at run time: then it forgets what it knew of these.
+    """
+    return _Steps(*counters).any_unknown(body)
+
+
 class _Steps:
     """By how much temporaries grow from turn to turn, by number: 0 where nothing is said, None where it differs."""
 
-    def __init__(self, counter: lir.Temp) -> None:
-        self.steps: dict[int, int | None] = {counter.number: 1}
+    def __init__(self, *counters: lir.Temp) -> None:
+        self.steps: dict[int, int | None] = dict.fromkeys((counter.number for counter in counters), 1)
 
     def all_even(self, body: lir.Body, sizes: dict[int, int]) -> bool:
         for stmt in statements(body):
@@ -43,6 +52,26 @@ class _Steps:
                 case _:
                     pass
         return True
+
+    def any_unknown(self, body: lir.Body) -> bool:
+        changed, read = set[tuple[type, int]](), set[tuple[type, int]]()
+        for stmt in statements(body):
+            match stmt:
+                case lir.Let(temp, operation):
+                    self.steps[temp.number] = self.result(operation)
+                    if isinstance(operation, lir.Load):
+                        read.add((lir.Slot, operation.slot.number))
+                    if isinstance(operation, lir.LoadVar):
+                        read.add((lir.Var, operation.var.number))
+                case lir.Store(slot, index, _) if self.of(index) is None:
+                    changed.add((lir.Slot, slot.number))
+                case lir.StoreVar(var, index, _) if self.of(index) is None:
+                    changed.add((lir.Var, var.number))
+                case lir.Accumulate(var, index, _, _) if self.of(index) is None:
+                    return True
+                case _:
+                    pass
+        return not changed.isdisjoint(read)
 
     def of(self, value: lir.Value) -> int | None:
         return self.steps.get(value.number, 0) if isinstance(value, lir.Temp) else 0
