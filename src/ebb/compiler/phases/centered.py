@@ -10,7 +10,6 @@ from ebb.compiler.kir_walk import statements
 from ebb.records import record
 from ebb.relations.relation import Relation
 
-
 _BINDS = (kir.Assign, kir.ForRange, kir.ForQuery)
 
 
