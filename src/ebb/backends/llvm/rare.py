@@ -163,6 +163,7 @@ _FIRST, _LANE = lir.Temp(-1, int64), lir.Temp(-2, int64)
 def emit_rare(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, str]) -> None:
     """The innermost loop of ``loop``, from one of ``bounds`` to the other."""
     w, (low, high), counter = e.w, bounds, loop.index[-1]
+    w.module.is_vectors = True
     first, part = _begin(e, low, high, PART)
     end = w.emit(f"add nsw i64 {first}, {PART}")
     last = w.emit(f"select i1 {w.emit(f'icmp slt i64 {end}, {high}')}, i64 {end}, i64 {high}")

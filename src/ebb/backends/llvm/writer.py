@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from ebb.backends.llvm.hooks import Hooks
 
+VECTORS = "!ebb.vectors"
+"""The metadata of a module whose rows are vectors already, so that LLVM need not look for more of them in rows."""
+
 
 class ModuleWriter:
     """Collects the functions of a module and what they refer to."""
@@ -15,6 +18,7 @@ class ModuleWriter:
         self.definitions: dict[str, str] = {}
         self.metadata: list[str] = []
         self.kept: dict[str, None] = {}
+        self.is_vectors = False
 
     def note(self, text: str) -> str:
         """Appends a metadata node and returns its name; ``{self}`` in ``text`` stands for the name."""
@@ -31,6 +35,8 @@ class ModuleWriter:
                 f'@llvm.compiler.used = appending global [{len(self.kept)} x ptr] [{names}], section "llvm.metadata"'
             )
         parts = [*declared, *self.definitions.values(), *self.functions, *self.metadata]
+        if self.is_vectors:
+            parts.append(f"{VECTORS} = !{{}}")
         return "\n".join(parts) + "\n"
 
 
