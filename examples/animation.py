@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import software
+from outputs import why_unwritable
 
 ABSORBED = np.array([(0.15, 0.75, 1.6), (1.5, 0.45, 0.12), (0.25, 1.6, 0.75)])
 """How much each of the three inks takes from red, green and blue: saffron, a blue, and magenta."""
@@ -97,15 +98,10 @@ def check_outputs(picture: Path | None, frames: Path | None, animated: Path | No
         return f"animated files end in {', '.join(ANIMATED)}, and {str(animated)!r} does not"
     if animated is not None and importlib.util.find_spec("PIL") is None:
         return 'an animated file needs Pillow, which is not installed (pip install "ebblang[viz]")'
-    for folder in (frames, *(path.parent for path in (picture, animated) if path is not None)):
-        try:
-            if folder is not None:
-                folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            return f"the folder {str(folder)!r} cannot be made: {error.strerror}"
-    for path in (picture, animated):
-        if path is not None and path.is_dir():
-            return f"{str(path)!r} is a folder"
+    for path in (picture, animated, None if frames is None else frames / "frame-0001.png"):
+        reason = None if path is None else why_unwritable(path)
+        if reason is not None:
+            return f"{str(path)!r} cannot be written: {reason}"
     return None
 
 

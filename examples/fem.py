@@ -269,7 +269,8 @@ class SoftBody:
         own, other = (1 / 4, 0.0) if lumped else (1 / 10, 1 / 20)
         init_elements(tetrahedra, own, other)
         self.fixed = _as_mask(vertices.size, fixed)
-        free = vertices.new_subset("free", ~self.fixed) if self.fixed.any() else None
+        movable = ~self.fixed & (vertices.mass.to_numpy() > 0)  # a vertex of no tetrahedron stays where it is
+        free = None if movable.all() else vertices.new_subset("free", movable)
         self.solver = ConjugateGradients(
             vertices.dv, vertices.rhs, matrix=edges.A, preconditioner="block-jacobi", rows=free
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ import ebb
 from bodies import SURFACES
 from ebb.domains import TetMesh, TriMesh
 from fem import Damping, Law, Material, SoftBody, Step, StepError
+from outputs import save_arrays, why_unwritable
 from pictures import CLAY, Surface, save_strip
 
 MESHES = (".vtu", ".vtk", ".veg")
@@ -160,12 +160,9 @@ def check_outputs(saves: list[Path], dump: Path | None) -> None:
     if dump is not None and dump.suffix != ".npz":
         raise ValueError(f"--dump {dump}: states are saved as .npz")
     for path in (*saves, *([] if dump is None else [dump])):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ValueError(f"{path.parent} cannot be made: {error.strerror}") from None
-        if path.is_dir() or not os.access(path.parent, os.W_OK):
-            raise ValueError(f"{path} cannot be written")
+        reason = why_unwritable(path)
+        if reason is not None:
+            raise ValueError(f"{path} cannot be written: {reason}")
 
 
 # What comes out.
@@ -222,7 +219,7 @@ class Record:
         q, qd = (np.array([state[i] for state in self.states]).reshape(-1, n, 3) for i in range(2))
         counts = np.array([step.iterations for step in self.steps], dtype=np.int64)
         assembly, solve = (np.array([getattr(s, name) for s in self.steps]) for name in ("assembly", "solve"))
-        np.savez(path, q=q, v=qd, dt=self.dt, iterations=counts, assembly_s=assembly, solve_s=solve)
+        save_arrays(path, q=q, v=qd, dt=self.dt, iterations=counts, assembly_s=assembly, solve_s=solve)
 
 
 def places(body: SoftBody) -> np.ndarray:
@@ -343,7 +340,7 @@ def program(law: Law) -> Callable[..., None]:
             )
             advance = (lambda: body.find_rest(tolerance)) if static else (lambda: body.step(dt, tolerance, newton))
             finish(record, simulate(record, steps, advance, console), saves, dump, console)
-        except (ValueError, ebb.EbbError) as error:
+        except (ValueError, OSError, ebb.EbbError) as error:
             raise SystemExit(str(error)) from None
 
     return main

@@ -38,6 +38,7 @@ from rich.progress import track
 import ebb
 from ebb.domains import Grid2D, Particles
 from grid_particles import save_moments
+from outputs import save_arrays, why_unwritable
 
 DT, VISCOSITY, FORCE, RADIUS = 0.09, 0.0025, 5.8, 4
 """Of the sample: seconds, in the units of its frequencies, a cell along a side, and cells."""
@@ -303,12 +304,9 @@ def check_outputs(save: Path | None, dump: Path | None) -> str | None:
             continue
         if path.suffix.lower() != suffix:
             return f"{what}, a file that ends in {suffix}, and {str(path)!r} does not"
-        if path.is_dir():
-            return f"{str(path)!r} is a folder"
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            return f"the folder {str(path.parent)!r} cannot be made: {error.strerror}"
+        reason = why_unwritable(path)
+        if reason is not None:
+            return f"{str(path)!r} cannot be written: {reason}"
     return None
 
 
@@ -346,7 +344,7 @@ class Record:
         """Write the files."""
         if dump is not None:
             steps = sorted({int(name.rsplit("_", 1)[1]) for name in self._arrays})
-            np.savez(dump, steps=np.array(steps), dt=self._fluid.dt, viscosity=self._fluid.viscosity, **self._arrays)
+            save_arrays(dump, steps=np.array(steps), dt=self._fluid.dt, viscosity=self._fluid.viscosity, **self._arrays)
             console.print(f"saved {dump}")
         if save is not None and self._begin is not None:
             save_moments(save, [self._begin, *self._seen], self._begin, (1.0, 1.0))

@@ -24,6 +24,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,6 +35,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 import ebb
 from ebb.domains import HexGrid, HexMesh
+from outputs import save_arrays, why_unwritable
 from pictures import save_strip
 from sedov_picture import Moment, skin
 
@@ -282,7 +284,7 @@ def pressure(e, v):
 
 @ebb.func
 def speed_of_sound(e, p, v):
-    return ebb.sqrt(max(GAS * (e + p * v) / DENSITY, 0.1111111e-36))
+    return ebb.sqrt(max(GAS / DENSITY * (e + p * v), 0.1111111e-36))
 
 
 @ebb.func
@@ -305,7 +307,7 @@ def evaluate_gas(z):
     e = held_energy(e + 0.5 * change * (3 * old - 4 * half))
     p = pressure(e, v)
     q = shrinks * (speed_of_sound(e, p, v) * z.linear_q + z.quadratic_q)
-    e = held_energy(e - change * (7 * old - 8 * half + p + q) / 6)
+    e = held_energy(e - 1 / 6 * change * (7 * old - 8 * half + p + q))
     p = pressure(e, v)
     sound = speed_of_sound(e, p, v)
     q = shrinks * (sound * z.linear_q + z.quadratic_q)
@@ -577,7 +579,7 @@ def dump(path: Path, blast: Sedov) -> None:
     zones, nodes = blast.zones, blast.nodes
     pos, vel = moment(blast).x.reshape(-1, 3), nodes.vel.to_numpy().reshape(-1, 3)
     names = {"e": "e", "p": "p", "q": "q", "v": "vol", "ss": "sound_speed"}
-    np.savez(
+    save_arrays(
         path,
         time=blast.time,
         dt=blast.dt,
@@ -610,21 +612,23 @@ def summary(blast: Sedov, elapsed: float) -> str:
     )
 
 
-def refuse_bad_input(size: int, regions: int, mesh: str, dump: Path | None, save: Path | None) -> None:
+def refuse_bad_input(size: int, regions: int, balance: int, mesh: str, dump: Path | None, save: Path | None) -> None:
     """Say at once what would fail in the end."""
     if mesh not in MESHES:
         raise typer.BadParameter(f"--mesh is one of {', '.join(MESHES)}, not {mesh}")
     if regions > size**3:
         raise typer.BadParameter(f"--regions {regions} is more than the {size**3} zones of --size {size}")
+    weights = [(region + 1) ** balance for region in range(regions)] if regions <= size**3 and balance < 32 else []
+    if regions > 1 and not (sum(weights) < min(2**31, 1e5 * sum(weights[:-1]))):
+        raise typer.BadParameter(f"--balance {balance} leaves next to nothing to smaller regions")
     if dump is not None and dump.suffix != ".npz":
         raise typer.BadParameter(f"--dump writes a file that ends in .npz, not {dump}")
+    if save is not None and find_spec("meshio") is None:
+        raise typer.BadParameter('--save writes a VTK file, which needs meshio (pip install "ebblang[mesh]")')
     for option, path in (("dump", dump), ("save", save)):
-        if path is None:
-            continue
-        folder = next(each for each in path.absolute().parents if each.exists())
-        if path.is_dir() or not folder.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
-            raise typer.BadParameter(f"--{option} {path} cannot be written")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        reason = None if path is None else why_unwritable(path)
+        if reason is not None:
+            raise typer.BadParameter(f"--{option} {path} cannot be written: {reason}")
 
 
 def main(
@@ -644,7 +648,7 @@ def main(
 ) -> None:
     """Run the Sedov blast of LULESH."""
     console = Console(highlight=False, quiet=quiet)
-    refuse_bad_input(size, regions, mesh, dump_to, save)
+    refuse_bad_input(size, regions, balance, mesh, dump_to, save)
     if threads is not None and threads > (os.cpu_count() or 1):
         console.print(f"{threads} threads on a machine with {os.cpu_count()} cores will be slow", style="yellow")
     try:

@@ -23,6 +23,7 @@ from rich.progress import track
 
 import ebb
 from ebb.domains import PolyMesh, TetMesh
+from outputs import why_unwritable
 from pictures import CLAY, Surface, save_strip
 
 STEPS = 40
@@ -279,12 +280,9 @@ def check_options(mesh: str, method: str, save: Path | None) -> None:
         raise typer.BadParameter(f"--method should be taubin or laplace, not {method!r}")
     if save is None:
         return
-    try:
-        save.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise typer.BadParameter(f"the folder {str(save.parent)!r} cannot be made: {error.strerror}") from None
-    if save.is_dir():
-        raise typer.BadParameter(f"{str(save)!r} is a folder")
+    reason = why_unwritable(save)
+    if reason is not None:
+        raise typer.BadParameter(f"--save {save} cannot be written: {reason}")
     if mesh == "both" and save.suffix != ".png":
         raise typer.BadParameter("two meshes do not go into one file: choose one by --mesh, or save a picture (.png)")
 

@@ -154,7 +154,7 @@ def test_rest(run, tmp_path):
         (("--mesh", "broken.npz"), "V (points) and T (corners)"),
         (("--save", "bar.gif"), "a picture is .png"),
         (("--dump", "bar.csv"), "saved as .npz"),
-        (("--dump", "broken.txt/bar.npz"), "cannot be made"),
+        (("--dump", "broken.txt/bar.npz"), "cannot be written"),
         (("--mesh", "ball.veg", "--static"), "0 vertices are fixed"),
         (("--tolerance", -1), "tolerance"),
         (("--backend", "abacus"), "abacus"),
@@ -168,6 +168,16 @@ def test_what_is_wrong(run, tmp_path, words, text):
     TetMesh.ball(1).save(tmp_path / "ball.veg")
     code, said = run("--resolution", 4, "--steps", 2, *words)
     assert code == 1 and text in said.replace("\n", " "), said
+
+
+def test_a_vertex_of_no_tetrahedron_stays(run, tmp_path):
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 5, 5]], dtype=float)
+    np.savez(tmp_path / "lonely.npz", V=points, T=[[0, 1, 2, 3]])
+    code, text = run("--mesh", "lonely.npz", "--steps", 2, "--dump", "out.npz")
+    assert code == 0, text
+    with np.load(tmp_path / "out.npz") as states:
+        assert not states["q"][:, 4].any()
+        np.testing.assert_allclose(states["v"][-1, :4, 1], 2 * 0.01 * -9.81, rtol=1e-5)
 
 
 def test_a_failed_step_saves_the_last_good_state(run, tmp_path):

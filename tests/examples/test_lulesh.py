@@ -202,6 +202,8 @@ def test_bad_input_is_refused_before_the_run(tmp_path):
         ("--iterations", 0): "'--iterations'",
         ("--cost", -1): "'--cost'",
         ("--size", 2, "--regions", 9): "--regions 9 is more than the 8 zones of --size 2",
+        ("--regions", 4, "--balance", 40): "--balance 40 leaves next to nothing to smaller regions",
+        ("--regions", 2, "--balance", 20): "--balance 20 leaves next to nothing to smaller regions",
         ("--mesh", "hexagonal"): "--mesh is one of unstructured, grid, not hexagonal",
         ("--dump", tmp_path / "out.csv"): ".npz",
         ("--dump", tmp_path / "file" / "out.npz"): "cannot be written",

@@ -96,3 +96,12 @@ def test_limit_and_faults():
     system.rows.x.fill(0.5)
     assert MINRES(system.rows.x, system.rows.b, system.entries.a).solve().reason is Reason.NOT_FINITE
     assert (system.x == 0.5).all()
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((2, 2)), np.array([[1.0, -1.0], [-1.0, 1.0]])])
+def test_a_matrix_with_nothing_to_go_on_with_leaves_x(matrix):
+    system = System(np.where(matrix == 0, 1.0, matrix), np.array([1.0, 1.0]))
+    tail, head = system.entries.tail.to_numpy(), system.entries.head.to_numpy()
+    system.entries.a.load(matrix[tail, head])
+    result = MINRES(system.rows.x, system.rows.b, system.entries.a).solve()
+    assert result.reason is Reason.BREAKDOWN and not system.x.any()

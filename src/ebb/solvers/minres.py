@@ -88,8 +88,8 @@ class MINRES(KrylovSolver):
 
         @ebb.kernel
         def move(v: Any) -> None:
-            if go.value > 0:
-                k = scalars.value
+            k = scalars.value
+            if go.value > 0 and is_finite(k[_FIRST]):
                 new = number(k[_FIRST]) * v[p] + number(k[_SECOND]) * v[w] + number(k[_THIRD]) * v[w_before]
                 v[w_before] = v[w]
                 v[w] = new
@@ -108,7 +108,8 @@ class MINRES(KrylovSolver):
         def rotate(s: Any) -> None:
             gamma = ebb.sqrt(max(inner.value, 0))
             first = s.c * delta.value - s.c_before * s.s * s.gamma
-            length = ebb.sqrt(first * first + inner.value)
+            # 0 where nothing is left to go on with: then there is no step, and the solve ends.
+            length = ebb.sqrt(first * first + inner.value) if inner.value >= 0 else 0.0
             second = s.s * delta.value + s.c_before * s.c * s.gamma
             third = s.s_before * s.gamma
             c, sine = first / length, gamma / length

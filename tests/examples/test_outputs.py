@@ -1,0 +1,37 @@
+"""What the programs ask before they write, and how they write."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+from outputs import save_arrays, why_unwritable
+
+
+def test_where_nothing_can_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert why_unwritable(tmp_path / "new" / "out.npz") is None and not any((tmp_path / "new").iterdir())
+    assert why_unwritable(tmp_path / "file") is None
+    assert why_unwritable(tmp_path) == "it is a folder"
+    assert "file" in str(why_unwritable(tmp_path / "file" / "out.npz"))
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="it needs a file system that takes no files")
+def test_a_file_system_that_takes_no_files():
+    assert "nothing can be written" in str(why_unwritable(Path("/proc/out.npz")))
+
+
+def test_arrays_are_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "out.npz"
+    save_arrays(path, a=np.arange(3))
+
+    with pytest.raises(ValueError, match="Object arrays"):
+        save_arrays(path, a=np.zeros(1000), b=np.array([None]))
+    with np.load(path) as saved:
+        assert saved["a"].tolist() == [0, 1, 2]
+    assert list(tmp_path.iterdir()) == [path]
