@@ -16,6 +16,9 @@ The equations of the last two are solved by ``multigrid.py``. The fluid is in a 
 goes through them, and with a viscosity it sticks to them. Interpolation keeps no sums: so the dye is scaled after each
 step to what it was, which is known, since none leaves the box.
 
+What kernels do at a cell, in two and in three dimensions, is in ``fluid_stencils.py``, what is in the box at the start
+in ``fluid_scenes.py``.
+
     python examples/stable_fluids.py --save out/smoke.png --animate out/smoke.gif
     python examples/stable_fluids.py --scene dye --save out/dye.png
     python examples/stable_fluids.py --dimensions 3 --grid 64 --save out/smoke3d.png
@@ -24,7 +27,6 @@ step to what it was, which is known, since none leaves the box.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -37,100 +39,24 @@ from rich.progress import track
 
 import ebb
 from animation import Film, check_outputs, draw_fluid, save_moments
-from ebb.domains import Grid2D, Grid3D
+from fluid_scenes import SCENES, centers, make_grid, taylor_green
+from fluid_stencils import (
+    below_2d,
+    below_3d,
+    difference_2d,
+    difference_3d,
+    held_2d,
+    held_3d,
+    outflow_2d,
+    outflow_3d,
+    ripple_2d,
+    ripple_3d,
+    sample_2d,
+    sample_3d,
+)
 from multigrid import METHODS, Hierarchy, Solved, Solver, Walls
 
 ADVECTIONS = ("linear", "maccormack")
-
-
-# ---- Interpolation, and what is different in two and three dimensions ----
-
-
-@ebb.func
-def sample_2d(d, pos, field):
-    x, y = ebb.clamp(d.local(pos), 0, 1)
-    low = (1 - x) * d.cell(0, 0)[field] + x * d.cell(1, 0)[field]
-    high = (1 - x) * d.cell(0, 1)[field] + x * d.cell(1, 1)[field]
-    return (1 - y) * low + y * high
-
-
-@ebb.func
-def sample_3d(d, pos, field):
-    x, y, z = ebb.clamp(d.local(pos), 0, 1)
-    south = (1 - x) * d.cell(0, 0, 0)[field] + x * d.cell(1, 0, 0)[field]
-    north = (1 - x) * d.cell(0, 1, 0)[field] + x * d.cell(1, 1, 0)[field]
-    low = (1 - y) * south + y * north
-    south = (1 - x) * d.cell(0, 0, 1)[field] + x * d.cell(1, 0, 1)[field]
-    north = (1 - x) * d.cell(0, 1, 1)[field] + x * d.cell(1, 1, 1)[field]
-    return (1 - z) * low + z * ((1 - y) * south + y * north)
-
-
-@ebb.func
-def held_2d(value, d, field):
-    low = min(min(d.cell(0, 0)[field], d.cell(1, 0)[field]), min(d.cell(0, 1)[field], d.cell(1, 1)[field]))
-    high = max(max(d.cell(0, 0)[field], d.cell(1, 0)[field]), max(d.cell(0, 1)[field], d.cell(1, 1)[field]))
-    return max(low, min(high, value))
-
-
-@ebb.func
-def held_3d(value, d, field):
-    low, high = d.cell(0, 0, 0)[field], d.cell(0, 0, 0)[field]
-    for i, j, k in ((1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1), (1, 1, 1)):
-        low, high = min(low, d.cell(i, j, k)[field]), max(high, d.cell(i, j, k)[field])
-    return max(low, min(high, value))
-
-
-@ebb.func
-def outflow_2d(c):
-    return c.xpos_face.flow - c.xneg_face.flow + c.ypos_face.flow - c.yneg_face.flow
-
-
-@ebb.func
-def outflow_3d(c):
-    flat = c.xpos_face.flow - c.xneg_face.flow + c.ypos_face.flow - c.yneg_face.flow
-    return flat + c.zpos_face.flow - c.zneg_face.flow
-
-
-@ebb.func
-def difference_2d(c):
-    x = c.clamped(1, 0).pressure - c.clamped(-1, 0).pressure
-    return [x, c.clamped(0, 1).pressure - c.clamped(0, -1).pressure]
-
-
-@ebb.func
-def difference_3d(c):
-    x = c.clamped(1, 0, 0).pressure - c.clamped(-1, 0, 0).pressure
-    y = c.clamped(0, 1, 0).pressure - c.clamped(0, -1, 0).pressure
-    return [x, y, c.clamped(0, 0, 1).pressure - c.clamped(0, 0, -1).pressure]
-
-
-@ebb.func
-def beyond(c, near, field, axis):
-    # The velocity through a wall is 0: so that on its other side is opposite.
-    return near[field][axis] if near != c else -near[field][axis]
-
-
-@ebb.func
-def ripple_2d(c, field):
-    x = 2 * c[field].x - beyond(c, c.clamped(1, 0), field, 0) - beyond(c, c.clamped(-1, 0), field, 0)
-    return [x, 2 * c[field].y - beyond(c, c.clamped(0, 1), field, 1) - beyond(c, c.clamped(0, -1), field, 1)]
-
-
-@ebb.func
-def ripple_3d(c, field):
-    x = 2 * c[field].x - beyond(c, c.clamped(1, 0, 0), field, 0) - beyond(c, c.clamped(-1, 0, 0), field, 0)
-    y = 2 * c[field].y - beyond(c, c.clamped(0, 1, 0), field, 1) - beyond(c, c.clamped(0, -1, 0), field, 1)
-    return [x, y, 2 * c[field].z - beyond(c, c.clamped(0, 0, 1), field, 2) - beyond(c, c.clamped(0, 0, -1), field, 2)]
-
-
-@ebb.func
-def below_2d(f, unit):
-    return f.cell(-unit[0], -unit[1])
-
-
-@ebb.func
-def below_3d(f, unit):
-    return f.cell(-unit[0], -unit[1], -unit[2])
 
 
 # ---- The simulation ----
@@ -351,108 +277,6 @@ class Fluid:
         self._diverge, self._push_cells = diverge, push_cells
 
 
-# ---- Scenes ----
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A box, and what is in it at the start.
-
-    Attributes:
-        height: of the box, for a width of 1; in space it is as deep as wide.
-        periodic: whether it wraps; else it has walls.
-        physics: of the fluid; options of the program change them.
-        dt: the length of a step in seconds.
-        look: of pictures, ``smoke`` or ``ink``.
-        fill: gives a new fluid its velocity, dye and sources.
-    """
-
-    height: float
-    periodic: bool
-    physics: Physics
-    dt: float
-    look: str
-    fill: Callable[[Fluid], None]
-
-
-def centers(grid: Any) -> np.ndarray:
-    """The centres of all cells, of the shape (nx, ny[, nz], ndim)."""
-    axes = [h * (np.arange(n) + 0.5) for n, h in zip(grid.shape, grid.spacing, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-
-
-def blobs(places: np.ndarray, balls: tuple[tuple[Any, float, int], ...], softness: float) -> np.ndarray:
-    """For each place three amounts from 0 to 1: of the ink of each ball (its centre, radius and ink) that it is in."""
-    amounts = np.zeros((*places.shape[:-1], 3))
-    for center, radius, ink in balls:
-        distance = np.linalg.norm(places - np.asarray(center), axis=-1)
-        amounts[..., ink] += 0.5 - 0.5 * np.tanh((distance - radius) / softness)
-    return amounts
-
-
-def fill_smoke(fluid: Fluid) -> None:
-    """Three vents of warm smoke at the floor, each a little different; in space, air that turns winds the plumes."""
-    places, strength, softness = centers(fluid.grid), 3.0, 0.008
-    if places.shape[-1] == 2:
-        vents = (((0.33, 0.10), 0.050, 0), ((0.53, 0.07), 0.045, 1), ((0.70, 0.12), 0.040, 2))
-    else:
-        vents = (((0.34, 0.42, 0.16), 0.09, 0), ((0.55, 0.66, 0.13), 0.08, 1), ((0.66, 0.36, 0.19), 0.07, 2))
-        strength, softness = 0.6, 0.025
-        x, y = pi * places[..., 0], pi * places[..., 1]
-        swirl = np.stack([-np.sin(x) * np.cos(y), np.cos(x) * np.sin(y), 0 * x], axis=-1)
-        fluid.grid.cells.vel.load(0.4 * swirl)
-    fluid.grid.cells.source.load(strength * blobs(places, vents, softness))
-
-
-def fill_dye(fluid: Fluid) -> None:
-    """Two jets against each other, shaken a little, which roll up, and inks on both sides of where they meet."""
-    places, ndim = centers(fluid.grid), len(fluid.grid.shape)
-    x, y = places[..., 0], places[..., -1]
-    velocity = np.zeros(places.shape)
-    velocity[..., 0] = np.tanh((y - 0.25) / 0.03) * np.tanh((0.75 - y) / 0.03)
-    velocity[..., -1] = 0.06 * np.sin(4 * pi * x) + 0.03 * np.sin(6 * pi * x + 1)
-    if ndim == 3:
-        velocity[..., -1] *= 1 + 0.5 * np.sin(2 * pi * places[..., 1])
-    fluid.grid.cells.vel.load(velocity)
-    inks = np.zeros((*x.shape, 3))
-    inks[..., 0] = 0.5 + 0.5 * np.tanh((np.abs(y - 0.5) - 0.25) / -0.02)
-    inks[..., 1] = np.exp(-(((y - 0.25) / 0.05) ** 2))
-    inks[..., 2] = np.exp(-(((y - 0.75) / 0.05) ** 2))
-    fluid.grid.cells.dye.load(1.3 * inks)
-
-
-def taylor_green(places: np.ndarray) -> np.ndarray:
-    """The vortices of Taylor and Green, in a box with sides of 1: steady but for their decay."""
-    x, y = 2 * pi * places[..., 0], 2 * pi * places[..., 1]
-    velocity = np.zeros(places.shape)
-    velocity[..., 0], velocity[..., 1] = np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y)
-    return velocity
-
-
-def fill_vortices(fluid: Fluid) -> None:
-    """The vortices of Taylor and Green, and two inks as a chessboard."""
-    places = centers(fluid.grid)
-    fluid.grid.cells.vel.load(taylor_green(places))
-    board = (np.floor(4 * places).sum(axis=-1) % 2)[..., None]
-    fluid.grid.cells.dye.load(np.concatenate([board, 1 - board, 0 * board], axis=-1))
-
-
-SCENES = {
-    "smoke": Scene(1.5, False, Physics(buoyancy=2.2), 0.02, "smoke", fill_smoke),
-    "dye": Scene(1.0, True, Physics(), 0.01, "ink", fill_dye),
-    "vortices": Scene(1.0, True, Physics(viscosity=1e-3), 0.01, "ink", fill_vortices),
-}
-
-
-def make_grid(scene: Scene, cells: int, ndim: int, periodic: bool, precision: Any = ebb.float32) -> Any:
-    """A grid of ``cells`` cubic cells along the width of the scene; its height is rounded to what coarsens well."""
-    step = 8 if cells % 8 == 0 else 1
-    tall = max(2, step * round(cells * scene.height / step))
-    shape = (cells,) * (ndim - 1) + (tall,)
-    make = Grid2D if ndim == 2 else Grid3D
-    return make(shape, extent=tuple(n / cells for n in shape), periodic=periodic, precision=precision)
-
-
 # ---- The program ----
 
 
@@ -465,7 +289,7 @@ def main(
     steps: Annotated[int, typer.Option(min=1)] = 300,
     dt: Annotated[float | None, typer.Option(help="the length of a step in seconds")] = None,
     viscosity: Annotated[float | None, typer.Option(help="square metres a second", min=0)] = None,
-    diffusion: Annotated[float | None, typer.Option(help="of the dye, square metres a second", min=0)] = None,
+    diffusion: Annotated[float, typer.Option(help="of the dye, square metres a second", min=0)] = 0.0,
     box: Annotated[str, typer.Option(help="periodic or walled; by default as the scene is")] = "",
     solver: Annotated[str, typer.Option(help=", ".join(METHODS))] = "multigrid",
     advection: Annotated[str, typer.Option(help=", ".join(ADVECTIONS))] = "maccormack",
@@ -485,16 +309,14 @@ def main(
         raise SystemExit(wrong)
     chosen = SCENES[scene]
     physics = Physics(
-        chosen.physics.viscosity if viscosity is None else viscosity,
-        chosen.physics.diffusion if diffusion is None else diffusion,
-        chosen.physics.buoyancy, advection, solver, tolerance,
-    )  # fmt: skip
+        chosen.viscosity if viscosity is None else viscosity, diffusion, chosen.buoyancy, advection, solver, tolerance
+    )
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
         cells = grid or (256 if dimensions == 2 else 64)
         periodic = chosen.periodic if not box else box == "periodic"
         fluid = Fluid(make_grid(chosen, cells, dimensions, periodic), physics)
-        chosen.fill(fluid)
+        chosen.fill(fluid.grid)
         console.print(f"{scene} in {fluid.grid}, {advection} advection, {solver}")
         shots = Shots(fluid, chosen.look, height, steps, every)
         try:

@@ -82,7 +82,7 @@ def flowing(scene: str, shape: tuple[int, ...], physics: stable_fluids.Physics) 
     make = Grid2D if len(shape) == 2 else Grid3D
     grid = make(shape, extent=tuple(n / shape[0] for n in shape), periodic=chosen.periodic)
     fluid = stable_fluids.Fluid(grid, physics)
-    chosen.fill(fluid)
+    chosen.fill(grid)
 
     def step(number: int) -> object:
         return fluid.step(0.05).turns, *fluid.measure()
