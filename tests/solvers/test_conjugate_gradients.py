@@ -238,3 +238,10 @@ def test_no_rows_at_all():
     for name in ("x", "b"):
         rows.new_field(name, ebb.float64)
     assert ConjugateGradients(rows.x, rows.b, entries.a).solve().converged
+
+
+def test_without_a_tolerance_it_goes_as_far_as_numbers_do():
+    system = System(symmetric(8, 3, 1.0), np.random.default_rng(2).normal(size=(8, 3)))
+    result = ConjugateGradients(system.rows.x, system.rows.b, system.entries.a).solve(0.0, most_iterations=1000)
+    assert result.converged and 0 < result.residuals[-1] <= 1e-30 * np.linalg.norm(system.right)
+    assert system.residual() < 1e-13

@@ -21,6 +21,9 @@ from ebb.solvers.options import Options
 Callback: TypeAlias = Callable[[int, float], object]
 """Called after each iteration with the number of iterations so far and the norm of the residual; True stops."""
 
+_SMALLEST = 1e-30
+"""The least tolerance: far below what residuals mean in double precision, but their squares are still numbers."""
+
 _MOST_STEPS = 128
 """The iterations of one run of the captured step, each of which has a row for its residual."""
 
@@ -153,7 +156,8 @@ class Progress:
     def ask(self, options: Options) -> None:
         """Says when the next solve is to stop."""
         if options != self._asked:
-            self.relative.value, self.absolute.value = options.tolerance**2, options.absolute**2
+            self.relative.value = max(options.tolerance, _SMALLEST) ** 2
+            self.absolute.value = options.absolute**2
             self.limit.value = options.most_iterations
             self._asked = options
 

@@ -82,7 +82,7 @@ class KrylovSolver:
         for another reason, ``x`` is what has been found so far; where numbers were not finite, it is what it was.
 
         Args:
-            tolerance: relative to the norm of b.
+            tolerance: relative to the norm of b; what is below 1e-30, such as 0, counts as that.
             absolute: in the unit of b.
             most_iterations: by default ten times the number of unknowns.
             callback: called after each iteration with their number and the norm of the residual; if it returns True,
