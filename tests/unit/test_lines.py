@@ -201,6 +201,21 @@ def test_vectors_along_lines(stores):
     assert streams(add, cells) == (stores == "streamed")
 
 
+def test_no_register_goes_to_the_stack_for_a_part_of_a_line(monkeypatch):
+    monkeypatch.setattr(kernel_code, "_MOST_CACHED", 0)
+    cells = ebb.Relation("cells", shape=(4, 6, 300), periodic=(True, True, True))
+    cells.new_field("x", ebb.float32)
+    cells.new_field("y", ebb.float32)
+    neighbors(cells, np.eye(3, dtype=int).tolist(), "wrap")
+
+    @ebb.kernel
+    def add(c: cells):
+        c.y = c.left.x + c.right.x + c.below.x
+
+    assert streams(add, cells)
+    assert "ebb.stream" not in add.inspect(cells, "asm")
+
+
 def test_what_is_looked_at_is_kept(stores):
     rows = ebb.Relation("rows", size=100)
     for name in "xyz":

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ebb.backends.llvm import ops
-from ebb.backends.llvm.registers import emit_registers, plan_registers
+from ebb.backends.llvm.registers import Parts, emit_registers, plan_registers
 from ebb.backends.llvm.stream import STREAM, STREAM_FUNCTION
 from ebb.backends.llvm.strides import is_even
 from ebb.backends.llvm.turns import FETCHED_AHEAD, Emitter, value_at
@@ -89,9 +89,7 @@ def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     w.start(turn)
     aligned = _aligned(e, start, offset)
     stop = _least(e, w.emit(f"add nsw i64 {aligned}, {STRETCH}"), high)
-    whole = _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
-    _store(e, streaming, buffers, (start, whole[0]), aligned, offset)
-    _store(e, streaming, buffers, (whole[1], stop), aligned, offset)
+    _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
     w.branch(latch)
     w.start(latch)
     w.do(f"{following} = add nsw i64 {stop}, 0")
@@ -120,14 +118,11 @@ def _inner(e: Emitter, loop: lir.RowLoop, low: str, high: str) -> tuple[str, str
 def _compute(
     e: Emitter, loop: lir.RowLoop, buffers: Sequence[str], rows: tuple[str, str], aligned: str, offset: str,
     metadata: str,
-) -> tuple[str, str]:  # fmt: skip
-    """The rows of a stretch, into the buffers: those inside by whole registers, then those near the ends of the line.
+) -> None:  # fmt: skip
+    """The rows of a stretch: computed into the buffers, and stored from there, but for whole lines of the cache.
 
     Where nothing else is written, registers begin where lines of the cache do, and hold what will not be stored of rows
     before and behind. Such rows may not exist; memory that may be read does.
-
-    Returns:
-        Between which rows all has been stored already, past the cache.
     """
     streaming, w, index = loop.streaming, e.w, loop.index[-1]
     assert streaming is not None
@@ -137,7 +132,6 @@ def _compute(
     first, last = _inner(e, loop, *rows)
     body = _body(loop)
     begin, end = first, last
-    whole = rows[1], rows[1]
     plan = None
     if _only_streams(body, streaming):
         begin = _aligned(e, first, offset)
@@ -145,17 +139,28 @@ def _compute(
         count = _choose(e, w.emit(f"icmp slt i64 {first}, {last}"), w.emit(f"and i64 {taken}, {-TOGETHER}"), "0")
         end = w.emit(f"add i64 {begin}, {count}")
         plan = plan_registers(body, index)
+
+    def store(low: str, high: str) -> None:
+        low, high = _most(e, low, rows[0]), _least(e, high, rows[1])
+        _store(e, streaming, buffers, (low, _most(e, low, high)), aligned, offset)
+
     if plan is None:
         for ahead in streaming.ahead:
             _fetch(e, loop, ahead, *rows)
         e.count(index, begin, end, body, metadata)
+        if loop.inside is not None:
+            _near_ends(e, loop, rows, first, last)
+        store(*rows)
     else:
+        if loop.inside is not None:
+            _near_ends(e, loop, rows, first, last)
+            store(rows[0], begin)
         whole = _whole(e, first, last, begin, rows[1], offset)
-        emit_registers(e, plan, index, (begin, end), whole, streaming.ahead, e.loop_notes(*_FEW_TURNS))
-    if loop.inside is not None:
-        _near_ends(e, loop, rows, first, last)
+        parts = Parts(whole, None if loop.inside is None else (first, last), store)
+        emit_registers(e, plan, index, (begin, end), parts, streaming.ahead, e.loop_notes(*_FEW_TURNS))
+        if loop.inside is not None:
+            store(end, rows[1])
     e.buffers.clear()
-    return whole
 
 
 def _whole(e: Emitter, first: str, last: str, begin: str, stop: str, offset: str) -> tuple[str, str]:

@@ -48,6 +48,21 @@ class Registers:
         return REGISTER_BYTES * 8 // self.scalar.bits
 
 
+@record
+class Parts:
+    """What becomes of registers that are not stored past the cache as they are: they go into buffers first.
+
+    Attributes:
+        whole: between which rows registers are lines of the cache to store past it.
+        kept: the rows of others that go into buffers, where more than those is there already; None for all.
+        store: stores the rows from one up to another from the buffers.
+    """
+
+    whole: tuple[str, str]
+    kept: tuple[str, str] | None
+    store: Callable[[str, str], None]
+
+
 def plan_registers(body: lir.Body, counter: lir.Temp) -> Registers | None:
     """How rows that run ``body`` are computed in registers, or None where that is left to LLVM."""
     if not is_unit(body, counter):
@@ -121,15 +136,15 @@ def _fits(let: lir.Let, scalar: ScalarType, names: Names) -> bool:
 
 
 def emit_registers(
-    e: Emitter, plan: Registers, counter: lir.Temp, rows: tuple[str, str], whole: tuple[str, str],
+    e: Emitter, plan: Registers, counter: lir.Temp, rows: tuple[str, str], parts: Parts,
     ahead: Sequence[lir.RowPlace], metadata: str,
 ) -> None:  # fmt: skip
     """The rows from the first of ``rows``, where a line of the cache begins, up to the second, in whole registers.
 
-    Those from the first of ``whole`` up to the second are stored past the cache, others into buffers. With each
-    register what is ``ahead`` is asked for.
+    All are stored in their order, be they whole lines of the cache or parts: what is written past the cache to and fro
+    takes longer. With each register what is ``ahead`` is asked for.
     """
-    _Registers(e, plan, counter).loop(*rows, whole, ahead, metadata)
+    _Registers(e, plan, counter).loop(*rows, parts, ahead, metadata)
 
 
 class _Registers:
@@ -140,8 +155,11 @@ class _Registers:
         self.computed: dict[tuple[Key, int], str] = {}
         self.invariant: dict[Key, str] = {}
 
-    def loop(self, start: str, stop: str, whole: tuple[str, str], ahead: Sequence[lir.RowPlace], metadata: str) -> None:
+    def loop(self, start: str, stop: str, parts: Parts, ahead: Sequence[lir.RowPlace], metadata: str) -> None:
         w, plan = self.w, self.plan
+        some, none = w.fresh("some"), w.fresh("none")
+        w.branch_if(w.emit(f"icmp slt i64 {start}, {stop}"), some, none)
+        w.start(some)  # where there are no rows inside, what the first of them would read may lie anywhere
         self.begin(start)
         initial = {key: {at: self.compute(key, at) for at in self.carried(key)} for key in plan.kept}
         head, turn, latch, done = (w.fresh(stem) for stem in ("head", "turn", "latch", "done"))
@@ -164,7 +182,7 @@ class _Registers:
             self.fetch(place)
         self.kept = phis
         self.take_over()
-        self.store(row, whole)
+        self.store(row, parts)
         w.branch(latch)
         w.start(latch)
         for key, values in latest.items():
@@ -173,6 +191,8 @@ class _Registers:
         w.do(f"{following} = add nsw i64 {row}, {plan.lanes}")
         w.do(f"br label %{head}{metadata}")
         w.start(done)
+        w.branch(none)
+        w.start(none)
 
     def carried(self, key: Key) -> list[int]:
         """Which registers of what is kept are those of the turn before: by the shift of their first row."""
@@ -207,26 +227,51 @@ class _Registers:
                 if self.plan.names.known[number].shift is None or number in self.plan.names.linear:
                     self.e.statement(stmt)
 
-    def store(self, row: str, whole: tuple[str, str]) -> None:
+    def store(self, row: str, parts: Parts) -> None:
         """Stores a register of each result."""
         w, e = self.w, self.e
         stores = [stmt for stmt in self.plan.body if isinstance(stmt, lir.Store)]
         values = [self.value(stmt.value, 0, 0) for stmt in stores]
-        from_, to = (w.emit(f"icmp {how} i64 {row}, {at}") for how, at in zip(("sge", "slt"), whole, strict=True))
+        limits = zip(("sge", "slt"), parts.whole, strict=True)
+        from_, to = (w.emit(f"icmp {how} i64 {row}, {at}") for how, at in limits)
         past, part, end = (w.fresh(stem) for stem in ("past", "part", "end"))
-        w.branch_if(w.emit(f"and i1 {from_}, {to}"), past, part)
+        is_whole = w.emit(f"and i1 {from_}, {to}")
+        weights = e.module.note('!{{!"branch_weights", i32 4000, i32 1}}')  # what is put on the stack is so for parts
+        w.do(f"br i1 {is_whole}, label %{past}, label %{part}, !prof {weights}")
         buffers: dict[int, tuple[str, str]] = dict(e.buffers)
-        for label, held in ((past, dict[int, tuple[str, str]]()), (part, buffers)):
-            e.buffers.clear()
-            e.buffers.update(held)
-            w.start(label)
-            note = f", !nontemporal {e.module.note('!{{i32 1}}')}" if label == past else ""
-            for stmt, value in zip(stores, values, strict=True):
-                place = e.element(stmt.slot, e.value(stmt.index))
-                aligned = REGISTER_BYTES if label == past else plan_align(self.plan)
-                w.do(f"store {self.type} {value}, ptr {place}, align {aligned}{note}")
-            w.branch(end)
+        w.start(past)
+        e.buffers.clear()
+        for stmt, value in zip(stores, values, strict=True):
+            place = e.element(stmt.slot, e.value(stmt.index))
+            note = e.module.note("!{{i32 1}}")
+            w.do(f"store {self.type} {value}, ptr {place}, align {REGISTER_BYTES}, !nontemporal {note}")
+        w.branch(end)
+        w.start(part)
+        e.buffers.update(buffers)
+        for stmt, value in zip(stores, values, strict=True):
+            self.keep(value, e.element(stmt.slot, e.value(stmt.index)), row, parts.kept)
+        parts.store(row, w.emit(f"add i64 {row}, {self.plan.lanes}"))
+        w.branch(end)
         w.start(end)
+
+    def keep(self, value: str, place: str, row: str, kept: tuple[str, str] | None) -> None:
+        """Puts a register into a buffer, or those of its rows that are ``kept``."""
+        align = plan_align(self.plan)
+        if kept is None:
+            self.w.do(f"store {self.type} {value}, ptr {place}, align {align}")
+            return
+        lanes = self.plan.lanes
+        numbers = f"<{lanes} x i64> <" + ", ".join(f"i64 {k}" for k in range(lanes)) + ">"
+        masks = list[str]()
+        for how, at in zip(("sge", "slt"), kept, strict=True):
+            number = self.w.emit(f"sub i64 {at}, {row}")
+            one = self.w.emit(f"insertelement <{lanes} x i64> poison, i64 {number}, i64 0")
+            all_ = f"shufflevector <{lanes} x i64> {one}, <{lanes} x i64> poison, <{lanes} x i32> zeroinitializer"
+            masks.append(self.w.emit(f"icmp {how} {numbers}, {self.w.emit(all_)}"))
+        mask = self.w.emit(f"and <{lanes} x i1> {masks[0]}, {masks[1]}")
+        name = f"llvm.masked.store.v{lanes}f{self.plan.scalar.bits}.p0"
+        self.w.declare(f"void @{name}({self.type}, ptr, i32, <{lanes} x i1>)")
+        self.w.do(f"call void @{name}({self.type} {value}, ptr {place}, i32 {align}, <{lanes} x i1> {mask})")
 
     # ---- Values ----
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 STREAM_FUNCTION = "ebb.stream"
 
 STREAM = """
-define internal void @ebb.stream(ptr noalias %to, ptr noalias %from, i64 %bytes) noinline nounwind {
+define internal void @ebb.stream(ptr noalias %to, ptr noalias %from, i64 %bytes) alwaysinline nounwind {
 entry:
   %address = ptrtoint ptr %to to i64
   %word.end = add nuw i64 0, 4
@@ -106,4 +106,5 @@ done:
 }
 """
 """Moves words to where they lie as in ``from``, with respect to lines of the cache: whole lines where there are any,
-and before and behind them the widest pieces that are aligned. ``!NOTE`` is the number of a note that says 1."""
+and before and behind them the widest pieces that are aligned. ``!NOTE`` is the number of a note that says 1. It is
+always inlined: around a call in a loop over registers all of them would be put on the stack and back."""
