@@ -52,6 +52,8 @@ class Cost:
 
     def plus(self, other: Cost, times: float = 1.0) -> Cost:
         """The cost of this, and ``times`` turns of ``other``."""
+        if other is _NOTHING:
+            return self
         return Cost(
             self.own_bytes + times * other.own_bytes,
             self.other_bytes + times * other.other_bytes,
@@ -60,6 +62,10 @@ class Cost:
             self.uncounted + other.uncounted,
             self.series + times * other.series,
         )
+
+
+_NOTHING = Cost()
+_FREE = (kir.Const, kir.Uniform, kir.ReadLocal, kir.ReadGlobal)
 
 
 def cost_of(kernel: kir.Kernel) -> Cost:
@@ -137,9 +143,10 @@ class _Counter:
         return cost
 
     def _all(self, exprs: Iterable[kir.Expr]) -> Cost:
-        total = Cost()
+        total = _NOTHING
         for expr in exprs:
-            total = total.plus(self._expr(expr))
+            if not isinstance(expr, _FREE):
+                total = total.plus(self._expr(expr))
         return total
 
     def _expr(self, expr: kir.Expr) -> Cost:
@@ -155,13 +162,15 @@ class _Counter:
                 return self._expr(condition).plus(max(arms, key=lambda cost: (cost.bytes, cost.operations)))
             case _:
                 operations = _operations(expr)
+                if not operations:
+                    return self._all(children(expr))
                 own = Cost(operations=operations, series=operations if _is_series(expr) else 0.0)
                 return self._all(children(expr)).plus(own)
 
     def _read(self, of: Field, key: kir.Expr, indices: tuple[kir.Expr, ...], size: int) -> Cost:
         place = (of, _name(key), *map(_name, indices))
         if place in self.read or place[:2] in self.read:
-            return Cost()
+            return _NOTHING
         self.read.add(place)
         count = size * _scalar_bytes(of.type)
         return Cost(own_bytes=count) if self.centered.is_centered(key) else Cost(other_bytes=count)

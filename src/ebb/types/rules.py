@@ -8,7 +8,6 @@ cast it to the element type and to repeat it in every component.
 from __future__ import annotations
 
 from enum import Enum
-from functools import cache
 
 from ebb.records import record
 from ebb.types.types import (
@@ -225,13 +224,10 @@ def binary_type(op: str, left: Type, right: Type) -> OperatorTypes | Mismatch:
     """The types of ``left op right`` for ``+ - * / // % ** min max & | ^ << >> @``."""
     if is_key(left) or is_key(right):
         return Mismatch(Reason.KEYS, op, left, right)
-    return _number_type(op, left, right)
-
-
-@cache  # of a few types, none of which refers to a relation
-def _number_type(op: str, left: Type, right: Type) -> OperatorTypes | Mismatch:
     if op == "@":
         return matmul_type(left, right)
+    if left == right and op in ARITHMETIC and is_number(left) and (op != "/" or is_float(left)):
+        return OperatorTypes(left, left, left)  # which most are
     complaint = _element_mismatch(op, left, right)
     if complaint is not None:
         return Mismatch(complaint, op, left, right)

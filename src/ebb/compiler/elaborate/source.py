@@ -185,7 +185,9 @@ def _parse_alone(code: CodeType, text: str) -> ast.FunctionDef | None:
     # Blank lines before it: the numbers of its lines are those of the file.
     before = "\n" * (start - 1) + "if True:\n" if indented else "\n" * start
     attempts = 0
-    for end in range(start + 1, len(lines) + 1):
+    # Behind the decorators, which alone are no Python.
+    first = next((number for number in range(start, len(lines)) if lines[number].lstrip().startswith("def ")), start)
+    for end in range(first + 1, len(lines) + 1):
         last = end == len(lines)
         if not last and (_indentation(lines[end]) > indented or lines[end].lstrip()[:1] in ("", "#")):
             continue

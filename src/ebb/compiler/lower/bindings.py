@@ -29,13 +29,10 @@ class _Uses:
 
     def read(self, expr: kir.Expr, path: _Path) -> None:
         for part in subexpressions(expr):
-            match part:
-                case kir.ReadLocal(local):
-                    self.read_at[local.uid].append(path)
-                case kir.Component(kir.ReadLocal(local), indices) if not all(isinstance(i, kir.Const) for i in indices):
-                    self.bindings[local.uid] += _FORCED
-                case _:
-                    pass
+            if isinstance(part, kir.ReadLocal):
+                self.read_at[part.local.uid].append(path)
+            elif isinstance(part, kir.Component) and isinstance(part.operand, kir.ReadLocal) and _computed(part):
+                self.bindings[part.operand.local.uid] += _FORCED
 
     def body(self, body: kir.Body, path: _Path) -> None:
         self.paths += 1
@@ -52,6 +49,11 @@ class _Uses:
                     pass
             for nested in bodies(stmt):
                 self.body(nested, inner)
+
+
+def _computed(part: kir.Component) -> bool:
+    """Whether it takes running the kernel to know which component it is."""
+    return not all([isinstance(index, kir.Const) for index in part.indices])
 
 
 def variables(kernel: kir.Kernel) -> tuple[kir.Local, ...]:

@@ -36,13 +36,9 @@ class Builder:
     """
 
     def __init__(self) -> None:
-        self._counts = {"temp": 0, "var": 0, "label": 0}
+        self._temps = self._vars = self._labels = 0
         self._bodies: list[list[lir.Stmt]] = []
         self.private_bytes = 0
-
-    def _next(self, what: str) -> int:
-        self._counts[what] += 1
-        return self._counts[what] - 1
 
     # ---- Bodies and names ----
 
@@ -60,10 +56,12 @@ class Builder:
         self._bodies[-1].extend(stmts)
 
     def temp(self, scalar: ScalarType) -> lir.Temp:
-        return lir.Temp(self._next("temp"), scalar)
+        self._temps += 1
+        return lir.Temp(self._temps - 1, scalar)
 
     def label(self, name: str) -> lir.Label:
-        return lir.Label(self._next("label"), name)
+        self._labels += 1
+        return lir.Label(self._labels - 1, name)
 
     def declare(
         self, name: str, scalar: ScalarType, size: int, memory: lir.Memory = lir.Memory.PRIVATE
@@ -71,15 +69,17 @@ class Builder:
         """A variable, declared here."""
         if memory is lir.Memory.PRIVATE:
             self.private_bytes += size * scalar.bits // 8
-        var = lir.Var(self._next("var"), name, scalar, size, memory)
+        var = lir.Var(self._vars, name, scalar, size, memory)
+        self._vars += 1
         self.add(lir.Declare(var))
         return var
 
     # ---- Operations ----
 
     def let(self, operation: lir.Operation, scalar: ScalarType) -> lir.Temp:
-        temp = self.temp(scalar)
-        self.add(lir.Let(temp, operation))
+        temp = lir.Temp(self._temps, scalar)
+        self._temps += 1
+        self._bodies[-1].append(lir.Let(temp, operation))
         return temp
 
     def binary(self, op: str, left: lir.Value, right: lir.Value) -> lir.Value:
@@ -102,7 +102,7 @@ class Builder:
         return self.let(lir.Math(function, operands), operands[0].type)
 
     def convert(self, value: lir.Value, scalar: ScalarType) -> lir.Value:
-        if value.type == scalar:
+        if value.type is scalar or value.type == scalar:
             return value
         if isinstance(value, lir.Literal) and value.type.kind is Kind.SIGNED and _widens(value.type, scalar):
             return number(value.value, scalar)

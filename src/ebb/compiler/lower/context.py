@@ -111,9 +111,10 @@ class Context:
 
     def argument(self, binding: lir.ArgumentBinding, scalar: ScalarType) -> lir.Value:
         """The value of the argument of ``binding``."""
-        if binding not in self.arguments:
-            self.arguments[binding] = lir.Argument(len(self.arguments), scalar, binding)
-        return self.build.let(lir.LoadArgument(self.arguments[binding]), scalar)
+        argument = self.arguments.get(binding)
+        if argument is None:
+            argument = self.arguments[binding] = lir.Argument(len(self.arguments), scalar, binding)
+        return self.build.let(lir.LoadArgument(argument), scalar)
 
     def extent(self, relation: Relation, dimension: int) -> lir.Value:
         """An extent of a grid, an int64."""

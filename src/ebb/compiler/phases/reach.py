@@ -84,11 +84,10 @@ def _through(value: kir.Expr, routes: dict[int, dict[Field, None]]) -> dict[Fiel
     """The key fields that ``value`` may have come through. Numbers come through none: only keys lead to rows."""
     found: dict[Field, None] = {}
     for part in subexpressions(value):
-        match part:
-            case kir.ReadField(used) if used.target is not None:
-                found[used] = None
-            case kir.ReadLocal(local):
-                found.update(routes.get(local.uid, {}))
-            case _:
-                pass
+        if isinstance(part, kir.ReadLocal):
+            through = routes.get(part.local.uid)
+            if through:
+                found.update(through)
+        elif isinstance(part, kir.ReadField) and part.field.target is not None:
+            found[part.field] = None
     return found

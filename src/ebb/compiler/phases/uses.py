@@ -56,13 +56,17 @@ class Uses:
     globals: dict[Global, list[Use]]
 
 
+_USING = (kir.ReadField, kir.QuerySize, kir.ReadGlobal)
+
+
 def collect_uses(kernel: kir.Kernel, centered: Centered) -> Uses:
     """Every use of a field or global in ``kernel``, whatever the branches."""
     uses = Uses({}, {})
     for stmt in statements(kernel.body):
         for operand in operands(stmt):
             for expr in subexpressions(operand):
-                _collect_expr(expr, centered, uses)
+                if isinstance(expr, _USING):
+                    _collect_expr(expr, centered, uses)
         _collect_stmt(stmt, centered, uses)
     return uses
 
