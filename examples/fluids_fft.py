@@ -12,9 +12,10 @@ form of "A Simple Fluid Solver based on the FFT", 2001, with the constants of th
    the wave is taken out. The transform back gives the new velocity;
 5. particles, one a cell to begin with, move with the velocity of the cell that they are in.
 
-The transforms are NumPy's and SciPy's. They read the memory of fields and write the memory of fields: rows go from
-``cells`` to ``frequencies`` and back, columns are transformed where they lie, and nothing is copied. A cell takes 32
-bytes: two components of its velocity, now and carried on, as much among frequencies, and a position.
+The transforms are NumPy's and SciPy's, or those of ``device_transforms.py`` on opencl if there is a library for it.
+They read the memory of fields and write the memory of fields: rows go from ``cells`` to ``frequencies`` and back,
+columns are transformed where they lie, and nothing is copied. A cell takes 32 bytes: two components of its velocity,
+now and carried on, as much among frequencies, and a position.
 
     python examples/fluids_fft.py --save out/fluid.png
     python examples/fluids_fft.py --grid 1024 --steps 100 --dump out/fluid.npz --dump-at 1,10,100
@@ -35,7 +36,9 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
+import device_transforms
 import ebb
+from device_transforms import DeviceTransforms
 from ebb.domains import Grid2D, Particles
 from grid_particles import save_moments
 from outputs import save_arrays, why_unwritable
@@ -127,8 +130,25 @@ class Fluid:
         particles: one a cell, with ``pos`` from 0 to 1.
     """
 
-    def __init__(self, n: int, viscosity: float = VISCOSITY, dt: float = DT, threads: int = 1, seed: int = 0) -> None:
-        """A fluid at rest on n x n cells, with a particle somewhere in each, by chance."""
+    def __init__(
+        self,
+        n: int,
+        viscosity: float = VISCOSITY,
+        dt: float = DT,
+        threads: int = 1,
+        seed: int = 0,
+        transforms: Transforms | DeviceTransforms | None = None,
+    ) -> None:
+        """A fluid at rest on n x n cells, with a particle somewhere in each, by chance.
+
+        Args:
+            n: cells along a side.
+            viscosity: as the sample has it.
+            dt: the length of a step in seconds.
+            threads: for transforms on the host.
+            seed: of where the particles are.
+            transforms: what transforms; by default that is done on the host.
+        """
         self.n, self.viscosity, self.dt = n, viscosity, dt
         self.grid = Grid2D((n, n), extent=1.0, periodic=True)
         self.frequencies = ebb.Relation("frequencies", shape=(n, n // 2 + 1))
@@ -138,7 +158,7 @@ class Fluid:
             self.grid.cells.new_field(name, ebb.float32)
         for name in ("u", "v"):
             self.frequencies.new_field(name, ebb.vec2f)
-        self.transforms = Transforms(threads)
+        self.transforms = Transforms(threads) if transforms is None else transforms
         self._define_motion()
         self._define_solution()
 
@@ -270,7 +290,7 @@ def main(
         raise SystemExit(wrong)
     try:
         ebb.set_backend(backend, **({} if threads is None or backend != "cpu" else {"threads": threads}))
-        fluid = Fluid(grid, viscosity, dt, threads or processors())
+        fluid = Fluid(grid, viscosity, dt, transforms=transforms_for(backend, threads or processors()))
         each = ebb.memory().host_bytes / grid**2
         console.print(f"{grid * grid} cells and as many particles, {each:.1f} bytes for both")
     except ebb.EbbError as error:
@@ -362,26 +382,48 @@ def run(fluid: Fluid, record: Record, steps: int, force: float, console: Console
             fluid.particles.pos.view()  # waits for a device that still computes
         spent += time.perf_counter() - start
         if number == 1:
-            first, spent, fluid.transforms.seconds = spent, 0.0, 0.0
+            first, spent = spent, 0.0
+            if isinstance(fluid.transforms, Transforms):
+                fluid.transforms.seconds = 0.0
         record.take(number)
     console.print(f"{steps} steps of {fluid.dt:g} s; the first, with compilation, took {first:.2f} s")
     if steps > 1:
-        each, transforms = (1e3 * seconds / (steps - 1) for seconds in (spent, fluid.transforms.seconds))
-        console.print(f"{each:.2f} ms each of the others, {transforms:.2f} ms of them in transforms")
+        text = f"{1e3 * spent / (steps - 1):.2f} ms each of the others"
+        if isinstance(fluid.transforms, Transforms):
+            text += f", {1e3 * fluid.transforms.seconds / (steps - 1):.2f} ms of them in transforms"
+        console.print(text)
     speed = np.hypot(fluid.grid.cells.u.view(), fluid.grid.cells.v.view())
     console.print(f"the fastest cell flows at {speed.max():.3f}, the mean at {speed.mean():.3f} sides a second")
 
 
+def transforms_for(backend: str, threads: int) -> Transforms | DeviceTransforms:
+    """Transforms where kernels run, if there is a library for it, and else on the host."""
+    return DeviceTransforms() if backend == "opencl" and device_transforms.installed() else Transforms(threads)
+
+
 def describe_transforms(fluid: Fluid, backend: str, console: Console) -> None:
-    """Tell where the transforms have read and written."""
+    """Tell what has transformed, and where it has read and written."""
     cells, waves, transforms = fluid.grid.cells, fluid.frequencies, fluid.transforms
-    console.print(f"transforms by NumPy along rows and {transforms.library} along columns, {transforms.copies} copies:")
+    if isinstance(transforms, DeviceTransforms):
+        console.print("transforms by reikna on the device, in the memory of kernels, 0 copies:")
+    else:
+        console.print(
+            f"transforms by NumPy along rows, {transforms.library} along columns, {transforms.copies} copies:"
+        )
     for name in ("u", "v"):
         fields = cells.fields[f"carried_{name}"], waves.fields[name], cells.fields[name]
-        places = [f"{field.path} at {address(field.view()):#x}" for field in fields]
+        places = [f"{field.path} at {place_of(field, transforms):#x}" for field in fields]
         console.print("  " + " to ".join(places), soft_wrap=True)
-    if backend in ("opencl", "cuda"):
-        console.print("  on the host: velocities and transforms were moved to and from the device at each step")
+    if isinstance(transforms, Transforms) and backend in ("opencl", "cuda"):
+        moved = "velocities and transforms were moved to and from the device at each step"
+        console.print(f"  on the host: {moved}", soft_wrap=True)
+        if backend == "opencl":
+            console.print("  with reikna they stay there: pip install ebblang[fft]", markup=False)
+
+
+def place_of(field: ebb.Field, transforms: Transforms | DeviceTransforms) -> int:
+    """Where the field was transformed: an address, or OpenCL's handle of the memory."""
+    return transforms.memory[field.path] if isinstance(transforms, DeviceTransforms) else address(field.view())
 
 
 def processors() -> int:

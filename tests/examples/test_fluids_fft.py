@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 
 import ebb
 import fluids_fft
-from backends import BACKENDS, lacking
+from backends import BACKENDS, lacking, require
+from ebb.runtime.device import current_device
 from fluids_fft import FORCE, RADIUS, VISCOSITY, Fluid, drag, stroke
 
 EXAMPLES = Path(fluids_fft.__file__).parent
@@ -269,6 +270,54 @@ def test_a_cell_takes_little_memory(tmp_path):
     fields, process = map(float, done.stdout.split())
     assert fields < 33  # 16 for the velocity now and carried on, 8 for its transform, 8 for a particle
     assert process < 56
+
+
+# ---- On a device ----
+
+
+@pytest.fixture
+def device():
+    pytest.importorskip("reikna")
+    require("opencl")
+    with ebb.backend("opencl"):
+        yield
+
+
+@pytest.mark.parametrize("n", [9, 16])
+def test_a_device_transforms_as_the_host_does(device, n):
+    expected, fluid = Fluid(n), Fluid(n, transforms=fluids_fft.DeviceTransforms())
+    for each in (expected, fluid):
+        random_flow(each)
+        for _ in range(2):
+            each.step()
+    np.testing.assert_allclose(fluid.velocity(), expected.velocity(), atol=1e-6)
+    np.testing.assert_allclose(fluid.particles.pos.to_numpy(), expected.particles.pos.to_numpy(), atol=1e-6)
+
+
+def test_a_device_transforms_in_the_memory_of_kernels(device, monkeypatch):
+    fluid = Fluid(16, transforms=fluids_fft.DeviceTransforms())
+    random_flow(fluid)
+    fluid.step()
+    own = current_device()
+    moved, upload, download = [], own.upload, own.download
+    monkeypatch.setattr(own, "upload", lambda target, source: (moved.append(source), upload(target, source)))
+    monkeypatch.setattr(own, "download", lambda source, target: (moved.append(target), download(source, target)))
+    fluid.step()
+    least = min(16 * 16 * 4, 16 * 9 * 8)
+    assert all(array.nbytes < least for array in moved)  # but whether a check has failed
+    fields = [*fluid.grid.cells.fields.values(), *fluid.frequencies.fields.values()]
+    handles = {field.path: field.buffer.on(own).buffer.int_ptr for field in fields}
+    assert fluid.transforms.memory == handles and len(handles) == 6
+
+
+def test_the_program_says_where_it_transforms(monkeypatch):
+    require("opencl")
+    words = ("--grid", "8", "--steps", "2", "--backend", "opencl")
+    monkeypatch.setattr(fluids_fft.device_transforms, "installed", lambda: False)
+    assert "moved to and from the device" in run_program(*words).output
+    pytest.importorskip("reikna")
+    monkeypatch.undo()
+    assert "by reikna on the device" in run_program(*words).output
 
 
 # ---- Backends and the program ----
