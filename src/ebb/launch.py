@@ -176,7 +176,7 @@ class Launch:
 
     @property
     def is_decided(self) -> bool:
-        """Whether the first runs are over, in which order and layout are decided, and what is bound is good for more."""
+        """Whether order and layout are decided, as in the first runs, and what is bound is good for more than one."""
         return self._runs >= SETTLING_RUNS and not isinstance(self._bound, Once)
 
     def settle(self, changing: AbstractSet[Field] = frozenset()) -> Bound:
