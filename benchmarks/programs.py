@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 
 import numpy as np
 
@@ -173,7 +174,7 @@ def solid_program(
 
 
 def solid_programs() -> tuple[Program, ...]:
-    """Elastic solids, as large as the dragon of the paper's figure, and refined twice."""
+    """Elastic solids: as large as the dragon of the paper's figure, refined twice, and as its bunny."""
     assembly = ("solid-assembly", "forces and stiffness of StVK", solids.beam, solids.assembly_steps)
     solver = (
         "solid-solver",
@@ -182,10 +183,15 @@ def solid_programs() -> tuple[Program, ...]:
         solids.solver_steps,
     )
     step = ("solid", "a step of an elastic beam", solids.beam_at_rest, solids.solid_steps)
+    rubber, law = "neo-Hookean", partial(partial, law=solids.neohookean)
+    sheared = ("rubber-assembly", f"forces and stiffness, {rubber}", solids.beam, law(solids.assembly_steps))
+    bounced = ("rubber", f"a step of a beam, {rubber}", solids.beam_at_rest, law(solids.solid_steps))
     return (
         *(solid_program(*assembly, n, 1e-9, assembly_work) for n in (6, 24)),
         *(solid_program(*solver, n, 1e-4, solver_work) for n in (6, 24)),
         solid_program(*step, 6, 1e-4),
+        *(solid_program(*sheared, n, 1e-9) for n in (6, 19)),
+        *(solid_program(*bounced, n, 1e-4) for n in (6, 19)),
     )
 
 

@@ -1,15 +1,24 @@
-"""Beams of tetrahedra by finite elements: the stiffness, the solver and the steps of ``examples/fem_stvk.py``.
+"""Beams of tetrahedra by finite elements: the stiffness, the solver and the steps of ``examples/fem.py``.
 
-A beam of 2n x n x n cubes, 2 m long, is fixed at one end; St. Venant-Kirchhoff's material, in doubles.
+A beam of 2n x n x n cubes, 2 m long, is fixed at one end; St. Venant-Kirchhoff's material, or the neo-Hookean one, in
+doubles.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 
 from benchmarks.data import SEED, Arrays
+
+Elements: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""Of each tetrahedron the forces on its corners, and the blocks of its stiffness, over its volume."""
+
+Law: TypeAlias = Callable[[np.ndarray, np.ndarray], Elements]
+"""From the deformation gradients and the gradients of the shape functions."""
 
 YOUNG, POISSON, DENSITY = 1e6, 0.3, 1000.0
 LAMBDA = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
@@ -61,7 +70,7 @@ def beam_at_rest(n: int) -> dict[str, np.ndarray]:
 def beam_system(n: int) -> dict[str, np.ndarray]:
     """The matrix of the first step of a beam that has been shaken, and any right-hand side."""
     arrays = beam(n)
-    _, stiffness = assembled(arrays, arrays["moved"])
+    _, stiffness = assembled(arrays, arrays["moved"], stvk)
     matrix = step_matrix(arrays, stiffness)
     right = np.random.default_rng(SEED + 1).standard_normal(arrays["points"].shape)
     names = ("points", "corners", "first", "tail", "head", "diagonal")
@@ -76,24 +85,43 @@ def step_matrix(arrays: Arrays, stiffness: np.ndarray) -> np.ndarray:
 # ---- What must come out ----
 
 
-def assembled(arrays: Arrays, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def assembled(arrays: Arrays, moved: np.ndarray, law: Law) -> tuple[np.ndarray, np.ndarray]:
     """Internal forces, a row a vertex, and the stiffness, a block an edge."""
     corners, inverse = arrays["corners"], arrays["inverse"]
     gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
     f = np.eye(3) + np.einsum("tia,tib->tab", moved[corners], gradients)
-    strain = (np.einsum("tka,tkb->tab", f, f) - np.eye(3)) / 2
-    stress = LAMBDA * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 2 * MU * strain
-    pushed, pulled = np.einsum("tab,tib->tia", f, gradients), np.einsum("tab,tib->tia", stress, gradients)
-    forces = np.einsum("t,tab,tib->tia", arrays["volume"], f, pulled)
-    blocks = np.einsum("tia,tja->tij", gradients, pulled)[..., None, None] * np.eye(3)
-    blocks += LAMBDA * np.einsum("tia,tjb->tijab", pushed, pushed)
-    blocks += MU * np.einsum("tja,tib->tijab", pushed, pushed)
-    blocks += MU * np.einsum("tia,tja,tbc,tdc->tijbd", gradients, gradients, f, f, optimize=True)
+    forces, blocks = law(f, gradients)
+    forces *= arrays["volume"][:, None, None]
     blocks *= arrays["volume"][:, None, None, None, None]
     return (
         summed(corners.ravel(), forces.reshape(-1, 3), len(moved)),
         summed(arrays["entries"].ravel(), blocks.reshape(-1, 9), len(arrays["head"])).reshape(-1, 3, 3),
     )
+
+
+def stvk(f: np.ndarray, gradients: np.ndarray) -> Elements:
+    """P = F S, S = lambda tr(E) I + 2 mu E, E = (F^T F - I) / 2."""
+    strain = (np.einsum("tka,tkb->tab", f, f) - np.eye(3)) / 2
+    stress = LAMBDA * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 2 * MU * strain
+    pushed, pulled = np.einsum("tab,tib->tia", f, gradients), np.einsum("tab,tib->tia", stress, gradients)
+    forces = np.einsum("tab,tib->tia", f, pulled)
+    blocks = np.einsum("tia,tja->tij", gradients, pulled)[..., None, None] * np.eye(3)
+    blocks += LAMBDA * np.einsum("tia,tjb->tijab", pushed, pushed)
+    blocks += MU * np.einsum("tja,tib->tijab", pushed, pushed)
+    blocks += MU * np.einsum("tia,tja,tbc,tdc->tijbd", gradients, gradients, f, f, optimize=True)
+    return forces, blocks
+
+
+def neohookean(f: np.ndarray, gradients: np.ndarray) -> Elements:
+    """P = mu (F - F^-T) + lambda ln J F^-T."""
+    inverse = np.linalg.inv(f).transpose(0, 2, 1)
+    pressure = LAMBDA * np.log(np.linalg.det(f)) - MU
+    pushed = np.einsum("tab,tib->tia", inverse, gradients)
+    forces = MU * np.einsum("tab,tib->tia", f, gradients) + pressure[:, None, None] * pushed
+    blocks = MU * np.einsum("tia,tja->tij", gradients, gradients)[..., None, None] * np.eye(3)
+    blocks += LAMBDA * np.einsum("tia,tjb->tijab", pushed, pushed)
+    blocks -= np.einsum("t,tja,tib->tijab", pressure, pushed, pushed)
+    return forces, blocks
 
 
 def summed(rows: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
@@ -125,8 +153,8 @@ def solve(
     return x
 
 
-def assembly_steps(arrays: Arrays, steps: int) -> Arrays:
-    force, stiffness = assembled(arrays, arrays["moved"])
+def assembly_steps(arrays: Arrays, steps: int, law: Law = stvk) -> Arrays:
+    force, stiffness = assembled(arrays, arrays["moved"], law)
     return {"force": force, "stiffness": stiffness}
 
 
@@ -134,10 +162,10 @@ def solver_steps(arrays: Arrays, steps: int) -> Arrays:
     return {"x": solve(arrays, arrays["matrix"], arrays["b"], np.ones(len(arrays["b"])), 0.0, CG_ITERATIONS)}
 
 
-def solid_steps(arrays: Arrays, steps: int) -> Arrays:
+def solid_steps(arrays: Arrays, steps: int, law: Law = stvk) -> Arrays:
     moved, velocity, h = arrays["moved"], np.zeros_like(arrays["moved"]), SOLID_DT
     for _ in range(steps):
-        force, stiffness = assembled(arrays, moved)
+        force, stiffness = assembled(arrays, moved, law)
         right = h * (arrays["load"] - force - multiply(arrays, stiffness, velocity) * (h + DAMPING))
         matrix = step_matrix(arrays, stiffness)
         velocity = velocity + solve(arrays, matrix, right, arrays["free"], TOLERANCE / 100, MOST_ITERATIONS)

@@ -182,11 +182,11 @@ def elements(arrays: Arrays) -> tuple[object, ...]:
     return (len(arrays["corners"]), *given, *doubles(LAMBDA, MU))
 
 
-def solid_assembly(arrays: Arrays) -> Prepared:
+def solid_assembly(arrays: Arrays, law: str) -> Prepared:
     size = len(arrays["points"])
     force, stiffness = zeros(size, 3), zeros(len(arrays["head"]), 3, 3)
     given = (size, arrays["first"], *elements(arrays), arrays["moved"], force, stiffness)
-    return Prepared(bind("stvk", *given, source="fem.cpp"), lambda: {"force": force, "stiffness": stiffness})
+    return Prepared(bind(law, *given, source="fem.cpp"), lambda: {"force": force, "stiffness": stiffness})
 
 
 def solid_solver(arrays: Arrays) -> Prepared:
@@ -197,14 +197,14 @@ def solid_solver(arrays: Arrays) -> Prepared:
     return Prepared(run, lambda: {"x": x})
 
 
-def solid(arrays: Arrays) -> Prepared:
+def solid(arrays: Arrays, law: str) -> Prepared:
     size = len(arrays["points"])
     moved, velocity, matrix = arrays["moved"], zeros(size, 3), zeros(len(arrays["head"]), 3, 3)
     force, *work = (zeros(size, 3) for _ in range(7))
     mesh = (size, *(arrays[name] for name in ("first", "head", "diagonal")), *elements(arrays))
     given = (*(arrays[name] for name in ("mass", "load", "free")), *doubles(SOLID_DT, 0.0, DAMPING))
     limits = (MOST_ITERATIONS, *doubles(TOLERANCE))
-    run = bind("stvk_step", *limits, *mesh, *given, moved, velocity, force, matrix, *work, source="fem.cpp")
+    run = bind(f"{law}_step", *limits, *mesh, *given, moved, velocity, force, matrix, *work, source="fem.cpp")
     return Prepared(run, lambda: {"moved": moved, "velocity": velocity})
 
 
@@ -232,9 +232,11 @@ PROGRAMS: Programs = {
     "particles": particles,
     "particles-keys": particles_keys,
     "fluid": fluid,
-    "solid-assembly": solid_assembly,
+    "solid-assembly": lambda arrays: solid_assembly(arrays, "stvk"),
+    "rubber-assembly": lambda arrays: solid_assembly(arrays, "neohookean"),
     "solid-solver": solid_solver,
-    "solid": solid,
+    "solid": lambda arrays: solid(arrays, "stvk"),
+    "rubber": lambda arrays: solid(arrays, "neohookean"),
     "triad": triad,
     "fma": fma,
 }

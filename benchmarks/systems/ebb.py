@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from pathlib import Path
@@ -293,22 +294,23 @@ def solid_mesh(arrays: Arrays) -> TetMesh:
     return mesh
 
 
-def soft_body(arrays: Arrays) -> tuple[TetMesh, Any]:
-    """The body of the example, and its mesh."""
+def soft_body(arrays: Arrays, law: str) -> tuple[TetMesh, Any]:
+    """The body of an example, and its mesh."""
     find_examples()
     import fem
-    import fem_stvk
 
     mesh, material = solid_mesh(arrays), fem.Material(YOUNG, POISSON, DENSITY)
     fixed = np.flatnonzero(arrays["free"] == 0)
-    body = fem.SoftBody(mesh, fem_stvk.LAW, [material], fixed=fixed, damping=fem.Damping(0.0, DAMPING))
+    body = fem.SoftBody(
+        mesh, importlib.import_module(law).LAW, [material], fixed=fixed, damping=fem.Damping(0.0, DAMPING)
+    )
     body.set_load(GRAVITY)
     mesh.vertices.q.load(arrays["moved"])
     return mesh, body
 
 
-def solid_assembly(arrays: Arrays) -> Prepared:
-    mesh, body = soft_body(arrays)
+def solid_assembly(arrays: Arrays, law: str) -> Prepared:
+    mesh, body = soft_body(arrays, law)
     from fem import clear_forces
 
     def run(steps: int) -> None:
@@ -337,8 +339,8 @@ def solid_solver(arrays: Arrays) -> Prepared:
     return Prepared(run, lambda: {"x": vertices.x.to_numpy()})
 
 
-def solid(arrays: Arrays) -> Prepared:
-    mesh, body = soft_body(arrays)
+def solid(arrays: Arrays, law: str) -> Prepared:
+    mesh, body = soft_body(arrays, law)
 
     def run(steps: int) -> None:
         for _ in range(steps):
@@ -350,9 +352,11 @@ def solid(arrays: Arrays) -> Prepared:
 PROGRAMS: Programs = {
     **ebb_stencils.PROGRAMS,
     "fluid": fluid,
-    "solid-assembly": solid_assembly,
+    "solid-assembly": lambda arrays: solid_assembly(arrays, "fem_stvk"),
+    "rubber-assembly": lambda arrays: solid_assembly(arrays, "fem_neohookean"),
     "solid-solver": solid_solver,
-    "solid": solid,
+    "solid": lambda arrays: solid(arrays, "fem_stvk"),
+    "rubber": lambda arrays: solid(arrays, "fem_neohookean"),
     "gather": lambda arrays: springs(arrays, "gather"),
     "scatter": lambda arrays: springs(arrays, "scatter"),
     "both-ends": lambda arrays: springs(arrays, "both-ends"),

@@ -220,16 +220,18 @@ extern "C" void block_cg(int64_t iterations, double tolerance, int64_t n, const 
     }
 }
 
+namespace {
+
 // A linearised step of backward Euler, A dv = h (f_ext - f - (h K + D) v) with A = M + h D + h^2 K and D = a M + b K,
 // the stiffness in `matrix` turned into A in place. `mass` belongs to the edges, `load` is f_ext.
-extern "C" void stvk_step(int64_t iterations, double tolerance, int64_t vertices, const int32_t *first,
-                          const int32_t *head, const int32_t *diagonal, int64_t tetrahedra, const int32_t *corners,
-                          const int32_t *entries, const double *inverse, const double *volumes, double lambda,
-                          double mu, const double *mass, const double *load, const double *is_free, double h,
-                          double damp_mass, double damp_stiffness, double *moved, double *velocity, double *force,
-                          double *matrix, double *preconditioner, double *b, double *x, double *r, double *p,
-                          double *product) {
-    stvk(vertices, first, tetrahedra, corners, entries, inverse, volumes, lambda, mu, moved, force, matrix);
+template <class Model>
+void step(int64_t iterations, double tolerance, int64_t vertices, const int32_t *first, const int32_t *head,
+          const int32_t *diagonal, int64_t tetrahedra, const int32_t *corners, const int32_t *entries,
+          const double *inverse, const double *volumes, double lambda, double mu, const double *mass,
+          const double *load, const double *is_free, double h, double damp_mass, double damp_stiffness, double *moved,
+          double *velocity, double *force, double *matrix, double *preconditioner, double *b, double *x, double *r,
+          double *p, double *product) {
+    assemble<Model>(vertices, first, tetrahedra, corners, entries, inverse, volumes, lambda, mu, moved, force, matrix);
 #pragma omp parallel for
     for (int64_t v = 0; v < vertices; ++v) {
         double sum[3] = {};
@@ -254,4 +256,30 @@ extern "C" void stvk_step(int64_t iterations, double tolerance, int64_t vertices
         velocity[i] += x[i];
         moved[i] += h * velocity[i];
     }
+}
+
+}  // namespace
+
+extern "C" void stvk_step(int64_t iterations, double tolerance, int64_t vertices, const int32_t *first,
+                          const int32_t *head, const int32_t *diagonal, int64_t tetrahedra, const int32_t *corners,
+                          const int32_t *entries, const double *inverse, const double *volumes, double lambda,
+                          double mu, const double *mass, const double *load, const double *is_free, double h,
+                          double damp_mass, double damp_stiffness, double *moved, double *velocity, double *force,
+                          double *matrix, double *preconditioner, double *b, double *x, double *r, double *p,
+                          double *product) {
+    step<StVenantKirchhoff>(iterations, tolerance, vertices, first, head, diagonal, tetrahedra, corners, entries,
+                            inverse, volumes, lambda, mu, mass, load, is_free, h, damp_mass, damp_stiffness, moved,
+                            velocity, force, matrix, preconditioner, b, x, r, p, product);
+}
+
+extern "C" void neohookean_step(int64_t iterations, double tolerance, int64_t vertices, const int32_t *first,
+                                const int32_t *head, const int32_t *diagonal, int64_t tetrahedra,
+                                const int32_t *corners, const int32_t *entries, const double *inverse,
+                                const double *volumes, double lambda, double mu, const double *mass, const double *load,
+                                const double *is_free, double h, double damp_mass, double damp_stiffness, double *moved,
+                                double *velocity, double *force, double *matrix, double *preconditioner, double *b,
+                                double *x, double *r, double *p, double *product) {
+    step<NeoHookean>(iterations, tolerance, vertices, first, head, diagonal, tetrahedra, corners, entries, inverse,
+                     volumes, lambda, mu, mass, load, is_free, h, damp_mass, damp_stiffness, moved, velocity, force,
+                     matrix, preconditioner, b, x, r, p, product);
 }
