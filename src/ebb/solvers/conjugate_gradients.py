@@ -23,6 +23,7 @@ class ConjugateGradients(KrylovSolver):
     """
 
     prefix: ClassVar[str] = "cg"
+    conditioned: ClassVar[str] = "q"  # it has been read for the last time, and is at hand
 
     def _make_kernels(self) -> None:
         x, r, p, q = self._system.x.name, self._r, self._p, self._q
@@ -32,12 +33,15 @@ class ConjugateGradients(KrylovSolver):
         begin, norm = self._progress.begin, self._norm
         self._before = before = ebb.Global(ebb.float64, 0.0)  # r.z of the iteration before
 
+        @ebb.func
+        def length() -> Any:
+            return number(before.value / curvature.value) if curvature.value > 0 else number(0)
+
+        # The solution waits for the second kernel, which reads p anyway.
         @ebb.kernel
         def update(v: Any) -> None:
             if go.value > 0:
-                alpha = number(before.value / curvature.value) if curvature.value > 0 else number(0)
-                v[x] += alpha * v[p]
-                residual = v[r] - alpha * v[q]
+                residual = v[r] - length() * v[q]
                 v[r] = residual
                 square.value += dot(residual, residual)
                 after.value += dot(residual, apply(v, residual))
@@ -45,7 +49,9 @@ class ConjugateGradients(KrylovSolver):
         @ebb.kernel
         def turn(v: Any) -> None:
             if go.value > 0:
-                v[p] = again(v, v[r]) + number(after.value / before.value) * v[p]
+                direction = v[p]
+                v[x] += length() * direction
+                v[p] = again(v, v[r]) + number(after.value / before.value) * direction
 
         @ebb.kernel
         def begin_steps(s: Any) -> None:
@@ -78,7 +84,7 @@ class ConjugateGradients(KrylovSolver):
         return judge_step
 
     def _first_vectors(self) -> None:
-        self._before.value = inf  # so that the first direction is the residual's
+        self._before.value, self._product.value = inf, 0  # so that the first direction is the residual's, and x stays
         self._turn(self._system.rows)
 
     def _set_out(self) -> None:

@@ -126,9 +126,9 @@ class Preconditioning:
 
 
 def preconditioning(
-    system: LinearSystem, given: Preconditioner | None, prefix: str, residual: str, faults: ebb.Global
+    system: LinearSystem, given: Preconditioner | None, prefix: str, residual: str, conditioned: str, faults: ebb.Global
 ) -> Preconditioning:
-    """The preconditioner ``given``; what it stores is named after ``prefix``.
+    """The preconditioner ``given``; what it stores is named after ``prefix``, and what blocks make of ``residual`` too.
 
     ``faults`` counts the rows of which ``prepare`` finds the diagonal not to be positive definite.
     """
@@ -144,7 +144,7 @@ def preconditioning(
         kernel, apply = _inverted_diagonal(system, system.blocks, stored, faults), _multiplying_by(stored)
         return Preconditioning(apply, apply, prepare=lambda: kernel(system.rows))
     # What a block makes of a residual is kept: to read it takes less than to read the block once more.
-    stored, field = system.work(f"{prefix}_inverses", system.blocks.matrix.type), system.work(f"{prefix}_z")
+    stored, field = system.work(f"{prefix}_inverses", system.blocks.matrix.type), system.work(f"{prefix}_{conditioned}")
     invert = _inverted_blocks(system, system.blocks, stored, faults)
     return Preconditioning(_applying(stored, field), _taken_from(field), prepare=lambda: invert(system.rows))
 

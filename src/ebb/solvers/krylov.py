@@ -25,6 +25,9 @@ class KrylovSolver:
     prefix: ClassVar[str]
     """With which the names of work fields begin."""
 
+    conditioned: ClassVar[str] = "z"
+    """The work field that takes what the blocks of a preconditioner make of a residual."""
+
     def __init__(
         self,
         x: ebb.Field,
@@ -62,7 +65,9 @@ class KrylovSolver:
         self._product, self._inner, self._square, self._norm = (ebb.Global(ebb.float64, 0.0) for _ in range(4))
         # The vector that is preconditioned, at first the residual; that which is multiplied, and the product.
         self._r, self._p, self._q, self._saved = (self._work(name) for name in ("r", "p", "q", "start"))
-        self._preconditioning = preconditioning(system, preconditioner, self.prefix, self._r, self._faults)
+        self._preconditioning = preconditioning(
+            system, preconditioner, self.prefix, self._r, self.conditioned, self._faults
+        )
         self._multiply = product_of(system, self._p, self._q, self._go, self._product)
         self._begin, self._find_residual, self._clear = self._kernels_of_start()
         self._measure = self._measuring_kernel()
