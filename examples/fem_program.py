@@ -18,7 +18,7 @@ from rich.console import Console
 import ebb
 from bodies import SURFACES
 from ebb.domains import TetMesh, TriMesh
-from fem import Damping, Law, Material, SoftBody, Step, StepError
+from fem import Damping, Law, Material, SoftBody, Step, StepError, retreat
 from outputs import save_arrays, why_unwritable
 from pictures import CLAY, Surface, save_strip
 
@@ -361,6 +361,9 @@ def simulate(record: Record, steps: int, advance: Callable[[], Step], console: C
             done = advance()
         except StepError as failure:
             return f"step {number}: {failure}"
+        except KeyboardInterrupt:
+            retreat(record.body.mesh.vertices)
+            return f"interrupted in step {number}"
         record.take(number, done)
         console.print(
             f"{number:6d}{done.iterations:12d}{done.newton:8d}{1e3 * done.assembly:9.2f} ms{1e3 * done.solve:9.2f} ms"

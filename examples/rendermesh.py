@@ -26,6 +26,7 @@ import fem
 import fem_neohookean
 from bodies import bunny_scan, fitted, what_bunny_lacks
 from ebb.domains import TetMesh, TriMesh
+from outputs import why_unwritable
 from pictures import CLAY, Surface, save_strip
 
 SLATE = np.array([0.55, 0.64, 0.70])
@@ -200,6 +201,9 @@ def main(
 ) -> None:
     """Move a coarse solid, and let a fine surface follow."""
     console = Console(highlight=False)
+    reason = None if save is None else why_unwritable(save)
+    if reason is not None:
+        raise SystemExit(f"--save {save} cannot be written: {reason}")
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
         skin = load_skin(mesh, console, fit=solid is None)

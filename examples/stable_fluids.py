@@ -304,7 +304,7 @@ def main(
 ) -> None:
     """Let a fluid flow: smoke that rises, dye that is stirred, vortices that decay."""
     console = Console(highlight=False)
-    wrong = check_choices(scene, box, solver, advection, dt) or check_outputs(save, frames, animate)
+    wrong = check_choices(scene, box, solver, advection, tolerance, dt) or check_outputs(save, frames, animate)
     if wrong:
         raise SystemExit(wrong)
     chosen = SCENES[scene]
@@ -328,13 +328,13 @@ def main(
         if scene == "vortices" and all(fluid.grid.periodic):
             console.print(f"off the closed form by {error_of_vortices(fluid):.2e} of the largest speed at the start")
         for written in (save, frames, animate):
-            if written is not None:
+            if written is not None and written.exists():
                 console.print(f"saved {written}", soft_wrap=True)
     except ebb.EbbError as error:
         raise SystemExit(str(error)) from None
 
 
-def check_choices(scene: str, box: str, solver: str, advection: str, dt: float | None) -> str | None:
+def check_choices(scene: str, box: str, solver: str, advection: str, tolerance: float, dt: float | None) -> str | None:
     """What is wrong with the options that are one of several words, or None."""
     for option, value, words in (
         ("scene", scene, tuple(SCENES)),
@@ -344,6 +344,8 @@ def check_choices(scene: str, box: str, solver: str, advection: str, dt: float |
     ):
         if value not in words:
             return f"--{option} is one of {', '.join(words)}, not {value!r}"
+    if not (0 <= tolerance < float("inf")):
+        return f"--tolerance is a number from 0 on, not {tolerance:g}"
     if dt is not None and not (0 < dt < float("inf")):
         return f"--dt is a time above 0, not {dt:g}"
     return None

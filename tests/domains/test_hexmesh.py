@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ebb
-from ebb.domains import Grid3D, HexMesh
+from ebb.domains import Grid3D, HexGrid, HexMesh
 from ebb.domains.hexahedra import FACES, SIDES, hex_volumes
 
 CUBE = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
@@ -160,6 +160,8 @@ def test_a_grid_and_a_bent_box():
         HexMesh.box(0, 1, 1)
     with pytest.raises(ValueError, match="positive lengths"):
         HexMesh.box(1, 1, 1, size=(1, 0, 1))
+    with pytest.raises(ValueError, match="positive lengths"):
+        HexGrid.box(1, 1, 1, size=(np.inf, 1, 1))
 
 
 @pytest.mark.parametrize("suffix", ["vtu", "vtk", "msh", "inp"])
@@ -245,3 +247,8 @@ def test_an_empty_mesh_and_one_element():
 def test_scale_does_not_decide_what_is_flat():
     for scale in (1e-30, 1e30):
         assert HexMesh.from_arrays(np.multiply(CUBE, scale), [list(range(8))], precision=ebb.float64).quads.size == 6
+
+
+def test_a_set_of_no_points():
+    mesh = HexMesh.from_arrays(*arrays_of(HexMesh.box(1, 1, 1)), symmetry={"nowhere": []})
+    assert mesh.vertices.nowhere.size == 0

@@ -10,6 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 import ebb
+import fem
 import fem_corotational
 import fem_neohookean
 import fem_program
@@ -189,3 +190,24 @@ def test_a_failed_step_saves_the_last_good_state(run, tmp_path):
     code, text = run(*words, "--dump", "all.npz", law="neohookean")
     with np.load(tmp_path / "all.npz") as states:
         assert len(states["q"]) == len(states["iterations"]) == int(text.rpartition("step ")[2].split(":")[0]) - 1
+
+
+def test_an_interrupt_saves_the_steps_that_were_made(run, tmp_path, monkeypatch):
+    step = fem.SoftBody.step
+
+    def step_or_stop(self, *arguments):
+        done = step(self, *arguments)
+        stops.append(done)
+        if len(stops) == 3:
+            raise KeyboardInterrupt
+        return done
+
+    stops = []
+    monkeypatch.setattr(fem.SoftBody, "step", step_or_stop)
+    code, text = run("--resolution", 2, "--steps", 50, "--dump", "all.npz", "--save", "last.veg")
+    assert code == 1 and "interrupted in step 3" in text
+    with np.load(tmp_path / "all.npz") as states:
+        assert len(states["q"]) == 2
+        last, mesh = states["q"][-1], TetMesh.load(tmp_path / "last.veg")
+    start = TetMesh.box(2, 2, 2, (1.0, 0.2, 0.2)).vertices.pos.to_numpy()
+    np.testing.assert_allclose(mesh.vertices.pos.to_numpy(), start + last, atol=1e-6)

@@ -125,3 +125,5 @@ def test_the_program_of_a_soft_body(tmp_path):
     assert result.exit_code == 0, result.output
     assert "162 points of the skin in 160 tetrahedra" in result.output
     assert TriMesh.load(tmp_path / "out.off").triangles.size == 320
+    result = CliRunner().invoke(app, [*words, "--save", str(tmp_path / "out.off" / "picture.png")])
+    assert "cannot be written" in str(result.exception) and "points of the skin" not in result.output

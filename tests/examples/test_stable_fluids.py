@@ -274,6 +274,7 @@ def test_other_options(tmp_path):
         (("--box", "round"), "--box is one of"),
         (("--dt", "-1"), "--dt is a time above 0"),
         (("--dt", "nan"), "--dt is a time above 0"),
+        (("--tolerance", "nan"), "--tolerance is a number from 0 on"),
         (("--save", "smoke.jpg"), "PNG"),
         (("--animate", "smoke.mov"), "animated files end in"),
         (("--backend", "abacus"), "E601"),

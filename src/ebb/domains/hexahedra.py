@@ -8,6 +8,7 @@ z = 1.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,7 @@ def brick_points(shape: tuple[Any, Any, Any], size: tuple[float, float, float]) 
         ValueError: a count is no integer >= 1, or a length not positive.
     """
     counts = [require_count(name, n, 1) for name, n in zip(("nx", "ny", "nz"), shape, strict=True)]
-    if not all(length > 0 for length in size):
+    if not all(0 < length < inf for length in size):
         raise ValueError(f"size should be three positive lengths, not {size!r}")
     axes = [np.linspace(0, length, n + 1) for length, n in zip(size, counts, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)

@@ -268,6 +268,8 @@ def _node_mask(mesh: MeshData, name: str, given: npt.ArrayLike) -> npt.NDArray[n
     array, n = np.asarray(given), len(mesh.points)
     if array.dtype == np.bool_ and array.shape == (n,):
         return array
+    if array.shape == (0,):
+        return np.zeros(n, dtype=bool)
     rows = array.dtype.kind in "iu" and array.ndim == 1
     if not rows or (array.size and (array.min() < 0 or array.max() >= n)):
         found = f"{array.dtype} of the shape {array.shape}"
