@@ -15,7 +15,8 @@ from ebb.backends.llvm.hooks import Strips
 from ebb.backends.llvm.lanes import Flags
 from ebb.backends.llvm.lines import emit_line, emit_streaming, streams
 from ebb.backends.llvm.rare import emit_rare, plan_rare
-from ebb.backends.llvm.row_plan import RowPlan, plan_rows
+from ebb.backends.llvm.row_plan import RowPlan, plan_rows, plan_runs
+from ebb.backends.llvm.row_runs import emit_runs
 from ebb.backends.llvm.row_strips import emit_row_strips
 from ebb.backends.llvm.statements import AS_IT_IS, NO_VECTORS, StatementEmitter
 from ebb.backends.llvm.strides import is_unit
@@ -127,6 +128,12 @@ class _BlockEmitter(StatementEmitter):
             return None
         return plan_rows(loop, self.module.hooks.vector_math)
 
+    def runs_of(self, loop: lir.RowLoop) -> tuple[lir.RowLoop, RowPlan] | None:
+        """How the rows of a list run in strips."""
+        if self.module.hooks.strips is not Strips.MASKED:
+            return None
+        return plan_runs(loop, self.module.hooks.vector_math)
+
     def bounds(self, d: int) -> tuple[str, str]:
         """The first index of a dimension, and the one behind the last."""
         return f"%low{d}", f"%high{d}"
@@ -139,6 +146,8 @@ class _BlockEmitter(StatementEmitter):
                 emit_streaming(self, loop, metadata)
             elif loop.inside is not None:
                 emit_line(self, loop, metadata)
+            elif (runs := self.runs_of(loop)) is not None:
+                emit_runs(self, loop, runs, Flags(self.flags, self.sum_flags), self.bounds(d), metadata)
             elif (strips := self.strips_of(loop)) is not None:
                 notes = self.loop_notes(*AS_IT_IS), self.loop_notes(NO_VECTORS)
                 emit_row_strips(self, loop, strips, Flags(self.flags, self.sum_flags), self.bounds(d), notes)

@@ -18,7 +18,8 @@ from ebb.types.types import Kind, ScalarType, int64
 MOST_SHUFFLED = 4
 """Rows of more elements than this are loaded one by one, though they follow one another."""
 
-_NUMBERS = f"<{', '.join(f'i64 {k}' for k in range(LANES))}>"
+NUMBERS_64 = f"<{', '.join(f'i64 {k}' for k in range(LANES))}>"
+"""The numbers of lanes, as int64."""
 
 
 @record
@@ -63,11 +64,17 @@ class RowMemory:
         self.stored: dict[tuple[int, Place], str] = {}
         self.written: dict[_Row, tuple[lir.Slot, dict[int, str]]] = {}
         self.changed: dict[tuple[_Row, str], tuple[lir.Slot, dict[int, str]]] = {}
-        self.done = self.active = ""
+        self.bound = self.predicate = self.active = ""
 
-    def open(self, done: str, active: str) -> None:
-        """Begins a strip: so many of its first lanes have been done before, and these have not."""
-        self.done, self.active = done, active
+    def open(self, predicate: str, bound: str, active: str) -> None:
+        """Begins a strip, of which only some rows are to be done, by the vector ``active``.
+
+        Args:
+            predicate: LLVM's: ``uge`` where these are the rows from ``bound`` on, ``ult`` where they are those before.
+            bound: the number of a lane.
+            active: the same as a vector.
+        """
+        self.predicate, self.bound, self.active = predicate, bound, active
 
     def finish(self) -> None:
         """Writes what has been stored in part of a row."""
@@ -184,7 +191,7 @@ class RowMemory:
         """The lanes of integers."""
         t = wide(ops.llvm_type(scalar))
         if place.root is None:
-            lanes, kind = _NUMBERS, int64
+            lanes, kind = NUMBERS_64, int64
         else:
             lanes, kind = self.root_lanes(place.root)
         if kind != scalar:
@@ -298,39 +305,54 @@ class RowMemory:
                 columns[column] = known or self.loaded(Loaded(slot, place))
 
     def write(self, row: _Row, slot: lir.Slot, columns: dict[int, str]) -> None:
-        """Stores rows that follow one another, but for those that have been done."""
+        """Stores rows that follow one another, those that are to be done."""
         _, _, scale, _, _ = row
         assert row[1] is None
         memory = ops.memory_type(slot.type)
         if scale > MOST_SHUFFLED:
             self.write_lanes(row, slot, columns)
             return
-        name = f"llvm.masked.store.{suffix(slot.type)}.p0"
-        self.w.declare(f"void @{name}({wide(memory)}, ptr, {MASK})")
         for k, part in enumerate(side_by_side(self.w, memory, [columns[c] for c in range(scale)])):
-            address, mask = self.part_address(slot, row, k), self.part_mask(scale, k)
-            self.w.do(f"call void @{name}({wide(memory)} {part}, ptr align {_size(slot)} {address}, {MASK} {mask})")
+            self.write_part(slot, self.part_address(slot, row, k), part, self.part_mask(scale, k))
+
+    def write_part(self, slot: lir.Slot, address: str, part: str, mask: str) -> None:
+        """Stores eight elements; by the mask only in strips that need it, since that takes many times as long."""
+        w, memory = self.w, ops.memory_type(slot.type)
+        whole, some, stored = (w.fresh(stem) for stem in ("whole", "some", "stored"))
+        every = w.emit(f"icmp eq i64 {self.bound}, {LANES if self.predicate == 'ult' else 0}")
+        w.branch_if(every, whole, some)
+        w.start(whole)
+        w.do(f"store {wide(memory)} {part}, ptr {address}, align {_size(slot)}")
+        w.branch(stored)
+        w.start(some)
+        name = f"llvm.masked.store.{suffix(slot.type)}.p0"
+        w.declare(f"void @{name}({wide(memory)}, ptr, {MASK})")
+        w.do(f"call void @{name}({wide(memory)} {part}, ptr align {_size(slot)} {address}, {MASK} {mask})")
+        w.branch(stored)
+        w.start(stored)
 
     def part_mask(self, scale: int, k: int) -> str:
-        """Which elements of part ``k`` are in rows that have not been done."""
+        """Which elements of part ``k`` are in rows that are to be done."""
         if scale == 1:
             return self.active
         numbers = f"<{', '.join(f'i64 {LANES * k + lane}' for lane in range(LANES))}>"
-        behind = self.v.broadcast("i64", self.arithmetic("mul", self.done, str(scale)))
-        return self.w.emit(f"icmp uge {wide('i64')} {numbers}, {behind}")
+        bound = self.v.broadcast("i64", self.arithmetic("mul", self.bound, str(scale)))
+        return self.w.emit(f"icmp {self.predicate} {wide('i64')} {numbers}, {bound}")
 
     def write_lanes(self, row: _Row, slot: lir.Slot, columns: dict[int, str]) -> None:
-        """Stores long rows four elements at a time, lane by lane; a lane that has been done stores what is there."""
+        """Stores long rows four elements at a time, lane by lane; for one that is not to be done, one that is again."""
         memory = ops.memory_type(slot.type)
+        sure = 0 if self.predicate == "ult" else LANES - 1
         for first in range(0, row[2], 4):
             chunk = [columns[c] for c in range(first, min(first + 4, row[2]))]
             size, width = len(chunk), _width(len(chunk))
             t = memory if size == 1 else f"<{width} x {memory}>"
-            for k, part in enumerate(rows_of(self.w, memory, chunk)):
-                address = self.address(slot, _begin(row, first), k)
-                old = self.w.emit(f"load {t}, ptr {address}, align {_size(slot)}")
-                on = self.w.emit(f"icmp uge i64 {k}, {self.done}")
-                new = self.w.emit(f"select i1 {on}, {t} {part}, {t} {old}")
+            parts = rows_of(self.w, memory, chunk)
+            places = [self.address(slot, _begin(row, first), k) for k in range(LANES)]
+            for k in range(LANES):
+                on = self.w.emit(f"icmp {self.predicate} i64 {k}, {self.bound}")
+                address = self.w.emit(f"select i1 {on}, ptr {places[k]}, ptr {places[sure]}")
+                new = self.w.emit(f"select i1 {on}, {t} {parts[k]}, {t} {parts[sure]}")
                 if size == 1:
                     self.w.do(f"store {memory} {new}, ptr {address}, align {_size(slot)}")
                 else:

@@ -21,6 +21,9 @@ from ebb.types.types import Kind
 LEAST_WORK = 12
 """The operations on floats, for each place that lanes reach by themselves, from which on strips pay."""
 
+MOST_LISTED = 1000
+"""Longer bodies of loops over lists are compiled once, not in strips as well."""
+
 _BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
 _CHANGES = frozenset({"+", "-", "*", "min", "max", "&", "|", "^"})
 _SWAPPED = _CHANGES - {"-"}
@@ -86,7 +89,9 @@ def plan_runs(loop: lir.RowLoop, vector_math: VectorForms) -> tuple[lir.RowLoop,
         return None
     rows = lir.RowLoop((row,), loop.rows, tuple(rest))
     try:
-        return rows, _Planner(rows, vector_math).plan(gains=False)
+        planner = _Planner(rows, vector_math)
+        demand(len(planner.all) <= MOST_LISTED)
+        return rows, planner.plan(gains=False)
     except _Unfit:
         return None
 

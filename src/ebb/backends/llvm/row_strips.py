@@ -14,7 +14,7 @@ from collections.abc import Callable
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.lane_ops import LaneWriter, identity, wide, wide_type
 from ebb.backends.llvm.lanes import Emitter, Flags
-from ebb.backends.llvm.row_memory import RowMemory
+from ebb.backends.llvm.row_memory import NUMBERS_64, RowMemory
 from ebb.backends.llvm.row_plan import RowPlan
 from ebb.backends.llvm.row_values import Held, Lanes, Place, Same
 from ebb.backends.llvm.strips import is_failure
@@ -22,8 +22,6 @@ from ebb.backends.llvm.transpose import LANES
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands
 from ebb.types.types import Kind, ScalarType, int64
-
-NUMBERS = f"<{', '.join(f'i64 {k}' for k in range(LANES))}>"
 
 
 def emit_row_strips(
@@ -39,10 +37,12 @@ def emit_row_strips(
         bounds: the first row, and the one behind the last.
         notes: the metadata of the branches that close the strips and the plain loop.
     """
-    _RowStrips(emitter, loop, plan, flags).emit(*bounds, *notes)
+    RowStrips(emitter, loop, plan, flags).emit(*bounds, *notes)
 
 
-class _RowStrips:
+class RowStrips:
+    """The body of a loop in strips, and the loop over rows that follow one another."""
+
     def __init__(self, emitter: Emitter, loop: lir.RowLoop, plan: RowPlan, flags: Flags) -> None:
         self.e, self.w = emitter, emitter.w
         self.v = LaneWriter(self.w, flags.arithmetic)
@@ -55,6 +55,7 @@ class _RowStrips:
         self.checks = plan.checks
         self.mask = ""
         self.nested: bool = False
+        self.guards: bool = False  # whether lanes that are not to be done may lead anywhere
         self.memory = RowMemory(emitter, self.v)
 
     # ---- The loop ----
@@ -96,14 +97,16 @@ class _RowStrips:
     def open_strip(self, row: str, done: str) -> None:
         """Which lanes are rows that have not been done before."""
         behind = self.v.broadcast("i64", done)
-        self.active = self.mask = self.w.emit(f"icmp uge {wide('i64')} {NUMBERS}, {behind}")
-        self.memory.open(done, self.active)
+        self.active = self.mask = self.w.emit(f"icmp uge {wide('i64')} {NUMBERS_64}, {behind}")
+        self.memory.open("uge", done, self.active)
 
     def open_sums(self) -> None:
+        """Makes a vector for each sum of the loop."""
         for stmt in self.loop.body:
             self.open_sum(stmt)
 
     def open_sum(self, stmt: lir.Stmt) -> None:
+        """Makes the vectors of the sums in ``stmt``."""
         match stmt:
             case lir.Accumulate(var, lir.Literal(k), op, value):
                 key = var.number, k, op
@@ -118,6 +121,7 @@ class _RowStrips:
                 pass
 
     def close_sums(self) -> None:
+        """Adds the lanes of each sum to its variable."""
         for stmt, place in self.sums.values():
             scalar = stmt.value.type
             lanes = self.w.emit(f"load {wide_type(scalar)}, ptr {place}")
@@ -127,6 +131,7 @@ class _RowStrips:
     # ---- Statements ----
 
     def body(self, body: lir.Body) -> None:
+        """Emits the statements of ``body``."""
         for stmt in body:
             match stmt:
                 case lir.Let(temp, operation):
@@ -178,12 +183,14 @@ class _RowStrips:
             self.later = []
 
     def after_checks(self, action: Callable[[], None]) -> None:
+        """Does ``action`` once nothing can fail any more."""
         if self.checks:
             self.later.append(action)
         else:
             action()
 
     def store(self, stmt: lir.Store) -> None:
+        """Stores into the own row, or changes another."""
         place = self.place(stmt.index)
         update = self.plan.updates.get(id(stmt))
         if update is not None:
@@ -198,6 +205,7 @@ class _RowStrips:
         self.after_checks(lambda: self.memory.store(stmt.slot, place, value))
 
     def accumulate(self, stmt: lir.Accumulate, mask: str) -> None:
+        """Adds the lanes in ``mask`` to those of a sum."""
         assert isinstance(stmt.index, lir.Literal)
         place, scalar = self.sums[stmt.var.number, stmt.index.value, stmt.op][1], stmt.value.type
         t = wide_type(scalar)
@@ -209,12 +217,14 @@ class _RowStrips:
     # ---- Operations ----
 
     def let(self, temp: lir.Temp, operation: lir.Operation) -> None:
+        """Notes what ``operation`` gives."""
         if temp.number in self.plan.skipped:
             return
         held = self.result(temp, operation)
         self.held[temp.number] = held
 
     def result(self, temp: lir.Temp, operation: lir.Operation) -> Held:
+        """What ``operation`` gives."""
         match operation:
             case lir.Load(slot, index):
                 return self.load(slot, self.place(index))
@@ -232,7 +242,8 @@ class _RowStrips:
                 return self.computed(temp, operation)
 
     def load(self, slot: lir.Slot, place: Place) -> Held:
-        if self.nested and place.root is not None:
+        """What lies at ``place``, which lanes that are off may not lead to."""
+        if (self.nested or self.guards) and place.root is not None:
             place = self.memory.guarded(place, self.mask)
         return self.memory.load(slot, place)
 
@@ -248,6 +259,7 @@ class _RowStrips:
         return Lanes(self.in_lanes(operation, temp.type))
 
     def in_lanes(self, operation: lir.Operation, scalar: ScalarType) -> str:
+        """What ``operation`` gives in each lane."""
         v, value = self.v, self.wide
         match operation:
             case lir.Unary(op, operand):
@@ -274,6 +286,7 @@ class _RowStrips:
     # ---- Values ----
 
     def of(self, value: lir.Value) -> Held:
+        """What is held for ``value``."""
         if isinstance(value, lir.Temp):
             return self.held[value.number] if value.number in self.held else Same(self.e.temps[value.number])
         return Same(ops.literal(value.value, value.type))
@@ -289,6 +302,7 @@ class _RowStrips:
                 return None
 
     def place(self, index: lir.Value) -> Place:
+        """An index as a place."""
         return self.memory.as_place(self.of(index))
 
     def wide(self, value: lir.Value) -> str:
@@ -298,6 +312,7 @@ class _RowStrips:
         return self.vector(self.of(value), value.type)
 
     def vector(self, held: Held, scalar: ScalarType) -> str:
+        """The lanes of what is held."""
         match held:
             case Same(name):
                 return self.v.broadcast(ops.llvm_type(scalar), name)
