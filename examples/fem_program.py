@@ -356,21 +356,28 @@ def simulate(record: Record, steps: int, advance: Callable[[], Step], console: C
     console.print(f"{'step':>6}{'iterations':>12}{'newton':>8}{'assembly':>12}{'solve':>12}", style="bold")
     record.take(0)
     started = time.perf_counter()
-    for number in range(1, steps + 1):
-        try:
-            done = advance()
-        except StepError as failure:
-            return f"step {number}: {failure}"
-        except KeyboardInterrupt:
-            retreat(record.body.mesh.vertices)
-            return f"interrupted in step {number}"
-        record.take(number, done)
-        console.print(
-            f"{number:6d}{done.iterations:12d}{done.newton:8d}{1e3 * done.assembly:9.2f} ms{1e3 * done.solve:9.2f} ms"
-        )
+    try:
+        for number in range(1, steps + 1):
+            done = step_or_retreat(record.body, advance)
+            record.take(number, done)
+            times = f"{1e3 * done.assembly:9.2f} ms{1e3 * done.solve:9.2f} ms"
+            console.print(f"{number:6d}{done.iterations:12d}{done.newton:8d}{times}")
+    except StepError as failure:
+        return f"step {len(record.steps) + 1}: {failure}"
+    except KeyboardInterrupt:
+        return f"interrupted after {len(record.steps)} steps"
     kinetic, elastic = record.body.energy()
     console.print(f"{time.perf_counter() - started:.2f} s in all; kinetic {kinetic:.6g}, elastic energy {elastic:.6g}")
     return None
+
+
+def step_or_retreat(body: SoftBody, advance: Callable[[], Step]) -> Step:
+    """Make a step; an interrupt leaves the body as it was before."""
+    try:
+        return advance()
+    except KeyboardInterrupt:
+        retreat(body.mesh.vertices)
+        raise
 
 
 def finish(record: Record, failure: str | None, saves: list[Path], dump: Path | None, console: Console) -> None:
