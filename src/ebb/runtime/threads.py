@@ -32,10 +32,11 @@ GRAIN_OF_PYTHON = 1_000_000.0
 _PATIENCE = 30
 """How many seconds the end of the process waits for a launch, which may be a print that nobody takes."""
 
-_WAITING = {"GOMP_SPINCOUNT": "300"}
-"""How libgomp's threads wait for work: some 15 us awake, then asleep. So they are at hand in a loop of launches, which
-are microseconds apart, and lose little where other processes need the cores. Its own default is 15 ms: with a core
-taken by another process, a launch of 0.3 ms took 8. Asleep at once, a launch of little work took 65."""
+_WAITING = {"GOMP_SPINCOUNT": "4000"}
+"""How libgomp's threads wait for work: some 0.2 ms awake, then asleep. So they are at hand in a loop of launches, also
+where one has finished its share before the other, and lose little where other processes need the cores. Its own default
+is 15 ms: with a core taken by another process, a launch of 0.3 ms took 8. Asleep at once, a launch of little work took
+65 us; asleep after 15 us, steps of 1 to 20 ms took a sixth longer than now."""
 
 
 @record
