@@ -61,13 +61,3 @@ extern "C" void fluid(int64_t n, const float *u, const float *v, float *carried_
     diffuse_and_project(n, waves_u, waves_v, spread);
     move(n, u, v, pos, dt);
 }
-
-extern "C" void fluid_advect(int64_t n, const float *u, const float *v, float *carried_u, float *carried_v, float dt) {
-    advect(n, u, v, carried_u, carried_v, dt);
-}
-
-extern "C" void fluid_project(int64_t n, float *waves_u, float *waves_v, float spread) {
-    diffuse_and_project(n, waves_u, waves_v, spread);
-}
-
-extern "C" void fluid_move(int64_t n, const float *u, const float *v, float *pos, float dt) { move(n, u, v, pos, dt); }
