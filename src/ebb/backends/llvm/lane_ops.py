@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.hooks import PURE
 from ebb.backends.llvm.transpose import LANES
 from ebb.backends.llvm.writer import FunctionWriter
+from ebb.compiler import lir
 from ebb.records import record
 from ebb.types.arithmetic import identity_of
 from ebb.types.types import Kind, ScalarType, bool_
@@ -93,6 +94,24 @@ class LaneWriter:
     def any(self, mask: str) -> str:
         """Whether the mask has some lane."""
         return self.reduce("|", bool_, mask)
+
+    def operation(self, operation: lir.Operation, scalar: ScalarType, value: Callable[[lir.Value], str]) -> str:
+        """What a calculation gives in each lane; ``value`` names the vectors of its operands."""
+        match operation:
+            case lir.Unary(op, operand):
+                return self.unary(op, scalar, value(operand))
+            case lir.Binary(op, left, right):
+                return self.binary(op, scalar, value(left), value(right))
+            case lir.Compare(op, left, right):
+                return self.compare(op, left.type, value(left), value(right))
+            case lir.Select(condition, then, other):
+                return self.select(value(condition), scalar, value(then), value(other))
+            case lir.Convert(operand):
+                return self.convert(operand.type, scalar, value(operand))
+            case lir.Math(function, operands):
+                return self.math(function, scalar, [value(operand) for operand in operands])
+            case _:
+                raise AssertionError(operation)
 
     def unary(self, op: str, scalar: ScalarType, x: str) -> str:
         """``op x``."""

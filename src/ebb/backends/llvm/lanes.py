@@ -237,22 +237,7 @@ class _Strip:
         return self.w.emit(f"add {wide('i64')} {self.v.broadcast('i64', self.turn)}, {ahead}")
 
     def operation(self, operation: lir.Operation, scalar: ScalarType) -> str:
-        v, value = self.v, self.value
-        match operation:
-            case lir.Unary(op, operand):
-                return v.unary(op, scalar, value(operand))
-            case lir.Binary(op, left, right):
-                return v.binary(op, scalar, value(left), value(right))
-            case lir.Compare(op, left, right):
-                return v.compare(op, left.type, value(left), value(right))
-            case lir.Select(condition, then, other):
-                return v.select(value(condition), scalar, value(then), value(other))
-            case lir.Convert(operand):
-                return v.convert(operand.type, scalar, value(operand))
-            case lir.Math(function, operands):
-                return v.math(function, scalar, [value(operand) for operand in operands])
-            case _:
-                raise AssertionError(operation)
+        return self.v.operation(operation, scalar, self.value)
 
     # ---- Addresses, lane by lane ----
 

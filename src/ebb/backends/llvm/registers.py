@@ -304,7 +304,9 @@ class _Registers:
         return self.computed[key, shift]
 
     def made(self, let: lir.Let, shift: int, made_for: int) -> str:
-        part: Callable[[lir.Value], str] = lambda value: self.value(value, shift, made_for)  # noqa: E731
+        def part(value: lir.Value) -> str:
+            return self.value(value, shift, made_for)
+
         flags, t = self.e.flags, self.type
         match let.operation:
             case lir.Load(slot, index):

@@ -260,28 +260,15 @@ class RowStrips:
 
     def in_lanes(self, operation: lir.Operation, scalar: ScalarType) -> str:
         """What ``operation`` gives in each lane."""
-        v, value = self.v, self.wide
         match operation:
-            case lir.Unary(op, operand):
-                return v.unary(op, scalar, value(operand))
             case lir.Binary(">>", left, right):
                 bits = self.scalar(right) or ""
                 t = ops.llvm_type(scalar)
                 self.w.declare(f"{t} @llvm.umin.{t}({t}, {t})")
                 amount = self.w.emit(f"call {t} @llvm.umin.{t}({t} {bits}, {t} {scalar.bits - 1})")
-                return self.w.emit(f"ashr {wide(t)} {value(left)}, {v.broadcast(t, amount)}")
-            case lir.Binary(op, left, right):
-                return v.binary(op, scalar, value(left), value(right))
-            case lir.Compare(op, left, right):
-                return v.compare(op, left.type, value(left), value(right))
-            case lir.Select(condition, then, other):
-                return v.select(value(condition), scalar, value(then), value(other))
-            case lir.Convert(operand):
-                return v.convert(operand.type, scalar, value(operand))
-            case lir.Math(function, values):
-                return v.math(function, scalar, [value(operand) for operand in values])
+                return self.w.emit(f"ashr {wide(t)} {self.wide(left)}, {self.v.broadcast(t, amount)}")
             case _:
-                raise AssertionError(operation)
+                return self.v.operation(operation, scalar, self.wide)
 
     # ---- Values ----
 
