@@ -342,13 +342,15 @@ def _add_others(relation: ebb.Relation, name: str, key: Any, other: str) -> None
 def _add_geometry(mesh: PolyMesh) -> None:
     place = mesh.vertices.pos.type
 
-    @mesh.faces.member("center")
-    def face_center(f: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+    def center(element: Any) -> Any:
         total, count = ebb.zeros(place), 0
-        for v in f.vertices:
+        for v in element.vertices:
             total += v.pos
             count += 1
         return total / count
+
+    for elements in (mesh.faces, mesh.cells):
+        elements.member("center")(center)
 
     @mesh.faces.member("area")
     def face_area(f: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
@@ -356,11 +358,3 @@ def _add_geometry(mesh: PolyMesh) -> None:
         for c in f.corners:
             total += ebb.cross(c.vertex.pos - middle, c.next.pos - middle)
         return total / 2
-
-    @mesh.cells.member("center")
-    def cell_center(c: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
-        total, count = ebb.zeros(place), 0
-        for v in c.vertices:
-            total += v.pos
-            count += 1
-        return total / count
