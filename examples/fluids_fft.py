@@ -58,7 +58,7 @@ class Transforms:
     SciPy NumPy does that too, at a quarter of the speed.
 
     Attributes:
-        library: what transforms columns.
+        package: what transforms columns.
         copies: how often a library has put its result elsewhere, so that it had to be copied into the field.
         seconds: spent so far.
     """
@@ -71,9 +71,9 @@ class Transforms:
         try:
             import scipy.fft
         except ImportError:
-            self.library, self._columns = "NumPy", (np.fft.fft, np.fft.ifft)
+            self.package, self._columns = "NumPy", (np.fft.fft, np.fft.ifft)
         else:
-            self.library, self._columns = "SciPy", (scipy.fft.fft, scipy.fft.ifft)
+            self.package, self._columns = "SciPy", (scipy.fft.fft, scipy.fft.ifft)
 
     def forward(self, field: ebb.Field, spectrum: ebb.Field) -> None:
         """Set ``spectrum`` to the transform of ``field``."""
@@ -99,7 +99,7 @@ class Transforms:
             pass  # but what a thread raises is raised here
 
     def _along_columns(self, transform: Any, numbers: np.ndarray) -> None:
-        if self.library == "NumPy":
+        if self.package == "NumPy":
             transform(numbers, axis=0, out=numbers)
             return
         found = transform(numbers, axis=0, overwrite_x=True, workers=self._threads)
@@ -408,7 +408,7 @@ def describe_transforms(fluid: Fluid, backend: str, console: Console) -> None:
         console.print("transforms by reikna on the device, in the memory of kernels, 0 copies:")
     else:
         console.print(
-            f"transforms by NumPy along rows, {transforms.library} along columns, {transforms.copies} copies:"
+            f"transforms by NumPy along rows, {transforms.package} along columns, {transforms.copies} copies:"
         )
     for name in ("u", "v"):
         fields = cells.fields[f"carried_{name}"], waves.fields[name], cells.fields[name]

@@ -228,7 +228,7 @@ def test_transforms_read_and_write_the_memory_of_fields(monkeypatch):
     for array in touched:
         at = fluids_fft.address(array)
         assert any(start <= at and at + array.nbytes <= start + nbytes for start, nbytes in own)
-    assert fluid.transforms.copies == 0 and fluid.transforms.library == "SciPy"
+    assert fluid.transforms.copies == 0 and fluid.transforms.package == "SciPy"
 
 
 def test_without_scipy_columns_are_transformed_in_place_too(monkeypatch):
@@ -236,7 +236,7 @@ def test_without_scipy_columns_are_transformed_in_place_too(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy.fft", None)
     monkeypatch.delattr(scipy, "fft")
     fluid = Fluid(12)
-    assert fluid.transforms.library == "NumPy"
+    assert fluid.transforms.package == "NumPy"
     for each in (expected, fluid):
         random_flow(each)
         each.step()
