@@ -45,7 +45,7 @@ def _once(name: str, at: str, type_: str, nbytes: int, leads: bool) -> str:
 
 
 def _many(name: str, before: str, at: str, type_: str, nbytes: int, leads: bool) -> str:
-    """Pieces from ``at`` on, as many as there are, behind block ``before``; it goes on at ``NAME.at`` in ``NAME.out``."""
+    """As many pieces as there are, from ``at`` on, behind block ``before``; goes on at ``NAME.at`` in ``NAME.out``."""
     wanted = "wanted" if leads else "some"
     return f"""  br label %{name}
 {name}:
