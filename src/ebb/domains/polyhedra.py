@@ -44,6 +44,14 @@ class PolygonEdges:
 
 
 @record(eq=False)
+class FaceShapes:
+    """The mean of the corners of each face, and its area as a vector along the normal: both of the shape (n, 3)."""
+
+    centers: Floats
+    areas: Floats
+
+
+@record(eq=False)
 class Cells:
     """For each face of each cell, whether it turns so that its normal leaves the cell (1) or enters it (-1).
 
@@ -98,16 +106,16 @@ def polygon_edges(faces: Ragged, n_points: int) -> PolygonEdges:
     return PolygonEdges(distinct // n, distinct % n, rank_in(distinct, code), tail < head)
 
 
-def face_geometry(points: Floats, faces: Ragged) -> tuple[Floats, Floats]:
-    """The mean of the corners of each face, and its area as a vector along the normal (Newell's formula)."""
-    centers = faces.sums(points[faces.values]) / np.maximum(faces.lengths, 1)[:, None]
-    start, end = points[faces.values], points[faces.following]
-    around = centers[faces.rows]
-    return centers, faces.sums(np.cross(start - around, end - around)) / 2
+def face_shapes(points: Floats, faces: Ragged) -> FaceShapes:
+    """The middles of faces, and their areas by Newell's formula."""
+    corners = points[faces.values]
+    centers = faces.sums(corners) / np.maximum(faces.lengths, 1)[:, None]
+    corners -= centers[faces.rows]
+    return FaceShapes(centers, faces.sums(np.cross(corners, faces.after(corners))) / 2)
 
 
-def check_polygons(mesh: PolyData, largest: float) -> None:
-    """Check that each face has three corners or more, all different, and an area.
+def check_polygons(mesh: PolyData, largest: float) -> FaceShapes:
+    """Check that each face has three corners or more, all different, and an area; gives their shapes.
 
     No coordinate may be beyond ``largest``.
 
@@ -121,12 +129,13 @@ def check_polygons(mesh: PolyData, largest: float) -> None:
     repeated = _repeated(faces)
     if repeated is not None:
         raise MeshFormatError(DegenerateElement("face", repeated, mesh.origin, faces.row(repeated), "area"))
-    _, areas = face_geometry(mesh.points, faces)
+    shapes = face_shapes(mesh.points, faces)
     sides = mesh.points[faces.following] - mesh.points[faces.values]
-    flat = np.linalg.norm(areas, axis=1) <= _FLAT * faces.sums(np.einsum("ij,ij->i", sides, sides))
+    flat = np.linalg.norm(shapes.areas, axis=1) <= _FLAT * faces.sums(np.einsum("ij,ij->i", sides, sides))
     if flat.any():
         row, count = int(np.argmax(flat)), int(flat.sum())
         raise MeshFormatError(DegenerateElement("face", row, mesh.origin, faces.row(row), "area", count, len(faces)))
+    return shapes
 
 
 def check_surface(mesh: PolyData, edges: PolygonEdges) -> None:
@@ -150,7 +159,7 @@ def check_surface(mesh: PolyData, edges: PolygonEdges) -> None:
         raise MeshFormatError(InconsistentOrientation("face", int(rows[j]), mesh.origin, int(rows[i]), edge))
 
 
-def check_cells(mesh: PolyData, edges: PolygonEdges) -> Cells:
+def check_cells(mesh: PolyData, edges: PolygonEdges, shapes: FaceShapes) -> Cells:
     """Check that the faces of each cell enclose it, and that no two cells lie on one side of a face.
 
     Raises:
@@ -169,7 +178,7 @@ def check_cells(mesh: PolyData, edges: PolygonEdges) -> Cells:
         shared, count = faces.row(int(cells.values[first])), int(counts[crowded[0]])
         raise MeshFormatError(NonManifold("cell", int(cells.rows[first]), mesh.origin, shared, count, "two"))
     signs = _turn_outwards(mesh, edges)
-    volumes = _volumes(mesh, signs)
+    volumes = _volumes(mesh, shapes, signs)
     signs = signs * np.where(volumes < 0, -1, 1)[cells.rows]
     one, other = order[starts[counts == 2]], order[starts[counts == 2] + 1]
     same = np.flatnonzero(signs[one] == signs[other])
@@ -226,19 +235,18 @@ def _turn_outwards(mesh: PolyData, edges: PolygonEdges) -> Integers:
     return signs
 
 
-def _volumes(mesh: PolyData, signs: Integers) -> Floats:
+def _volumes(mesh: PolyData, shapes: FaceShapes, signs: Integers) -> Floats:
     """The volumes that the faces, each a fan about the mean of its corners, enclose: negative if they turn inwards.
 
     Raises:
         MeshFormatError: a cell has no volume (E707).
     """
     cells = mesh.cells
-    centers, areas = face_geometry(mesh.points, mesh.faces)
-    at = centers[cells.values]
+    at = shapes.centers[cells.values]
     middle = cells.sums(at) / np.maximum(cells.lengths, 1)[:, None]
     apart = at - middle[cells.rows]
-    volumes = cells.sums(signs * np.einsum("ij,ij->i", apart, areas[cells.values])) / 3
-    surface = cells.sums(np.linalg.norm(areas, axis=1)[cells.values])
+    volumes = cells.sums(signs * np.einsum("ij,ij->i", apart, shapes.areas[cells.values])) / 3
+    surface = cells.sums(np.linalg.norm(shapes.areas, axis=1)[cells.values])
     flat = np.abs(volumes) <= _FLAT * surface**1.5
     if flat.any():
         row, count = int(np.argmax(flat)), int(flat.sum())

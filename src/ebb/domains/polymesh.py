@@ -73,12 +73,12 @@ class PolyMesh:
         Raises:
             MeshFormatError: the arrays make no surface or solid (E705 to E707, E709, E710, E712, E716 to E718).
         """
-        check_polygons(mesh, largest_of(precision))
+        shapes = check_polygons(mesh, largest_of(precision))
         edges = polygon_edges(mesh.faces, len(mesh.points))
         solid = len(mesh.cells) > 0
         if manifold and not solid:
             check_surface(mesh, edges)
-        found = check_cells(mesh, edges)
+        found = check_cells(mesh, edges, shapes)
         self._mesh = mesh
         self.vertices = ebb.Relation("vertices", size=len(mesh.points))
         self.edges = ebb.Relation("edges", size=len(edges.low))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,8 @@ from ebb.records import record
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
+
+_Number = TypeVar("_Number", np.int64, np.float64)
 
 
 @record(eq=False)
@@ -99,8 +101,12 @@ class Ragged:
     @property
     def following(self) -> Integers:
         """For each value the one after it in its row; the first follows the last. No row is empty."""
-        following = np.roll(self.values, -1)
-        following[self.offsets[1:] - 1] = self.values[self.offsets[:-1]]
+        return self.after(self.values)
+
+    def after(self, values: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
+        """For each value of a row what ``values`` has for the one after it; the first follows the last."""
+        following = np.roll(values, -1, axis=0)
+        following[self.offsets[1:] - 1] = values[self.offsets[:-1]]
         return following
 
     def row(self, row: int) -> tuple[int, ...]:
