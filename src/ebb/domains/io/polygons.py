@@ -17,7 +17,7 @@ from ebb.domains.io.errors import UnknownFormat, Unsavable
 from ebb.domains.io.files import Saved
 from ebb.domains.io.meshio import read_blocks, write_meshio
 from ebb.domains.io.off import read_off_polygons, write_off
-from ebb.domains.polyhedra import cell_faces, merged_faces, ragged
+from ebb.domains.polyhedra import cell_faces, distinct_pairs, merged_faces, ragged
 from ebb.domains.topology import OUTWARD_FACES
 from ebb.errors import MeshFormatError
 
@@ -89,8 +89,9 @@ def _faces_of(kind: str, data: Any) -> tuple[Ragged, Integers]:
     """The faces of the cells of a block, cell by cell, and how many each has."""
     if kind in SCHEMES:
         return cell_faces(np.asarray(data, dtype=np.int64), SCHEMES[kind])
-    faces = [np.asarray(face).tolist() for cell in data for face in cell]
-    return ragged("faces", faces, None), np.array([len(cell) for cell in data])
+    faces = [np.asarray(face, dtype=np.int64) for cell in data for face in cell]
+    lengths, values = [len(face) for face in faces], np.concatenate(faces or [np.zeros(0, np.int64)])
+    return Ragged.of_lengths(np.array(lengths, np.int64), values), np.array([len(cell) for cell in data], np.int64)
 
 
 def _face_blocks(faces: Ragged) -> list[tuple[str, Integers, Any]]:
@@ -105,7 +106,9 @@ def _face_blocks(faces: Ragged) -> list[tuple[str, Integers, Any]]:
 def _cell_blocks(mesh: PolyData) -> list[tuple[str, Integers, Any]]:
     faces = [np.array(face) for face in _lists(mesh.faces)]
     cells = [[faces[face] for face in cell] for cell in _lists(mesh.cells)]
-    sizes = np.array([len(np.unique(np.concatenate(cell))) for cell in cells])
+    places = mesh.faces.places(mesh.cells.values)
+    cell, _ = distinct_pairs(mesh.cells.rows[places.rows], mesh.faces.values[places.values], len(mesh.points))
+    sizes = np.bincount(cell)
     blocks: list[tuple[str, Integers, Any]] = []
     for size in sorted(set(sizes.tolist())):
         rows = np.flatnonzero(sizes == size)
