@@ -248,9 +248,7 @@ class PolyMesh:
 
         With ``split="checkered"`` every second square is split into two triangles.
         """
-        if split not in ("none", "checkered"):
-            raise ValueError(f"split should be 'none' or 'checkered', not {split!r}")
-        return cls(polyshapes.grid(nx, ny, size, split == "checkered"), precision=precision)
+        return cls(polyshapes.grid(nx, ny, size, split), precision=precision)
 
     @classmethod
     def globe(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from ebb.domains import generators
@@ -21,17 +23,29 @@ def surface(points: Floats, faces: Ragged) -> PolyData:
     return PolyData(points, faces, ragged("cells", [], None))
 
 
-def grid(nx: int, ny: int, size: tuple[float, float], checkered: bool) -> PolyData:
-    """A rectangle in the plane z = 0 in nx x ny squares, of which every second is two triangles if ``checkered``."""
+def grid(nx: int, ny: int, size: tuple[float, float], split: Literal["none", "checkered"]) -> PolyData:
+    """A rectangle in the plane z = 0 in nx x ny squares; with ``"checkered"`` every second is two triangles.
+
+    Raises:
+        ValueError: ``split`` is neither of the two.
+    """
+    if split not in ("none", "checkered"):
+        raise ValueError(f"split should be 'none' or 'checkered', not {split!r}")
     nx, ny = require_count("nx", nx, 1), require_count("ny", ny, 1)
     x, y = np.meshgrid(np.linspace(0, size[0], nx + 1), np.linspace(0, size[1], ny + 1), indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
-    faces: list[list[int]] = []
-    for i, j in np.ndindex(nx, ny):
-        a = i * (ny + 1) + j
-        b, c, d = a + ny + 1, a + ny + 2, a + 1
-        faces += [[a, b, c], [a, c, d]] if checkered and (i + j) % 2 else [[a, b, c, d]]
-    return surface(points, ragged("faces", faces, None))
+    i, j = (each.ravel() for each in np.indices((nx, ny)))
+    a = i * (ny + 1) + j
+    b, c, d = a + ny + 1, a + ny + 2, a + 1
+    squares = ragged("faces", np.stack([a, b, c, d], axis=1), None)
+    if split == "none":
+        return surface(points, squares)
+    # A square gives six corners, of which it keeps the first four where it stays whole.
+    halves = (i + j) % 2 == 1
+    corners = np.where(halves[:, None], np.stack([a, b, c, a, c, d], axis=1), np.stack([a, b, c, d, d, d], axis=1))
+    kept = halves[:, None] | (np.arange(6) < 4)
+    lengths = np.where(halves[:, None], 3, [4, 0]).ravel()
+    return surface(points, Ragged.of_lengths(lengths[lengths > 0], corners[kept]))
 
 
 def globe(n_around: int, n_up: int, radius: float) -> PolyData:
