@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import importlib.util
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from ebb.domains import TetMesh, TriMesh
+from ebb.errors import MeshFormatError
 
 SURFACES = (".off", ".stl", ".ply", ".obj")
 
@@ -41,9 +45,49 @@ def load_body(name: str, resolution: int) -> Body:
     if Path(name).suffix.lower() in SURFACES:
         surface = TriMesh.load(name)
         return _fill(Path(name).stem, surface.vertices.pos.to_numpy(), surface.triangles.v.to_numpy(), resolution)
-    solid = TetMesh.load(name)
+    # Springs ask for no orientation, so that none can be wrong.
+    solid = TetMesh.load(name, fix_orientation=True)
     points = fitted(solid.vertices.pos.to_numpy())
     return Body(Path(name).stem, TetMesh.from_arrays(points, solid.tetrahedra.v.to_numpy()))
+
+
+def load_solid(name: str, fix_orientation: bool, console: Console, **options: Any) -> TetMesh:
+    """The solid of a file: .veg, .npz with ``V``, shape (n, 3), and ``T``, shape (m, 4), or any that meshio reads.
+
+    If all tetrahedra are negative, they follow another convention than ours: they are turned, and that is said. If some
+    are, that is an error, unless ``fix_orientation``. The other options are those of `TetMesh.load`.
+    """
+    turn = True if fix_orientation else None
+    try:
+        if Path(name).suffix.lower() == ".npz":
+            solid = TetMesh.from_arrays(*_read_npz(name), fix_orientation=turn, **options)
+        else:
+            solid = TetMesh.load(name, fix_orientation=turn, **options)
+    except MeshFormatError as error:
+        if "E708" not in error.codes:
+            raise
+        raise ValueError(f"{error}\n--fix-orientation turns them, and leaves the others as they are") from None
+    if solid.turned == solid.tetrahedra.size > 0:
+        console.print(
+            f"all {solid.turned} tetrahedra are negative, so of the other convention: they have been turned",
+            soft_wrap=True,
+        )
+    elif solid.turned:
+        console.print(
+            f"{solid.turned} of the {solid.tetrahedra.size} tetrahedra were inverted, and have been turned",
+            soft_wrap=True,
+        )
+    return solid
+
+
+def _read_npz(name: str) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        with np.load(name) as arrays:
+            return arrays["V"], arrays["T"]
+    except KeyError as error:
+        raise ValueError(f"{name}: a mesh has the arrays V (points) and T (corners): {error.args[0]}") from None
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{name} cannot be read: {error}") from None
 
 
 def what_bunny_lacks() -> str | None:

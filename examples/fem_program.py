@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 
 import ebb
-from bodies import SURFACES
+from bodies import SURFACES, load_solid
 from ebb.domains import TetMesh, TriMesh
 from fem import Damping, Law, Material, SoftBody, Step, StepError, retreat
 from outputs import save_arrays, why_unwritable
@@ -38,42 +38,28 @@ def find_place(v):
 # What is given.
 
 
-def load_mesh(name: str, resolution: int, refine: int, fix_orientation: bool) -> TetMesh:
+def load_mesh(name: str, resolution: int, refine: int, fix_orientation: bool, console: Console) -> TetMesh:
     """A bar, or the solid of a file, with self edges and positions in float64.
 
     Args:
-        name: ``bar``: 1 x 0.2 x 0.2; a file of a solid (.veg, .npz with ``V``, shape (n, 3), and ``T``, shape (m, 4),
-            or any that meshio reads), or of a closed surface, which is filled.
+        name: ``bar``: 1 x 0.2 x 0.2; a file of a solid, or of a closed surface, which is filled.
         resolution: how many cubes lie along the longest side, where the tetrahedra are made here.
         refine: how often each tetrahedron is divided into eight.
-        fix_orientation: whether inverted tetrahedra are turned, rather than an error.
+        fix_orientation: whether tetrahedra are turned that are inverted while others are not, rather than an error.
+        console: where it is said that some have been turned.
     """
     options = {"self_edges": True, "precision": ebb.float64}
     suffix = Path(name).suffix.lower()
     if name == "bar":
         across = max(2, round(resolution / 5))
         mesh = TetMesh.box(resolution, across, across, (1.0, 0.2, 0.2), **options)
-    elif suffix == ".npz":
-        points, cells = read_npz(name)
-        mesh = TetMesh.from_arrays(points, cells, fix_orientation=fix_orientation, **options)
     elif suffix in SURFACES:
         mesh = TetMesh.from_surface(TriMesh.load(name), resolution=resolution, **options)
     else:
-        mesh = TetMesh.load(name, fix_orientation=fix_orientation, **options)
+        mesh = load_solid(name, fix_orientation, console, **options)
     for _ in range(refine):
         mesh = mesh.refine()
     return mesh
-
-
-def read_npz(name: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """The points ``V`` and the corners ``T`` of a file of NumPy's."""
-    try:
-        with np.load(name) as arrays:
-            return arrays["V"], arrays["T"]
-    except KeyError as error:
-        raise ValueError(f"{name}: a mesh has the arrays V (points) and T (corners): {error.args[0]}") from None
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{name} cannot be read: {error}") from None
 
 
 def materials_of(mesh: TetMesh, young: float | None, poisson: float | None, density: float | None) -> list[Material]:
@@ -290,7 +276,9 @@ def program(law: Law) -> Callable[..., None]:
             int, typer.Option(help="cubes along the longest side, where tetrahedra are made", min=2)
         ] = 20,
         refine: Annotated[int, typer.Option(help="how often to divide each tetrahedron into eight", min=0)] = 0,
-        fix_orientation: Annotated[bool, typer.Option(help="turn inverted tetrahedra, rather than stop")] = True,
+        fix_orientation: Annotated[
+            bool, typer.Option(help="turn tetrahedra that are inverted while others are not, rather than stop")
+        ] = False,
         dump: Annotated[Path | None, typer.Option(help="an .npz file: q and v after each step")] = None,
         save: Annotated[
             list[Path] | None,
@@ -308,7 +296,7 @@ def program(law: Law) -> Callable[..., None]:
         try:
             check_outputs(saves, dump)
             ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
-            solid = load_mesh(mesh, resolution, refine, fix_orientation)
+            solid = load_mesh(mesh, resolution, refine, fix_orientation, console)
             points = solid.vertices.pos.to_numpy()
             chosen = fixed or ("x-" if mesh == "bar" else None)
             body = SoftBody(

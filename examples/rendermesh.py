@@ -24,7 +24,7 @@ from rich.console import Console
 import ebb
 import fem
 import fem_neohookean
-from bodies import bunny_scan, fitted, what_bunny_lacks
+from bodies import bunny_scan, fitted, load_solid, what_bunny_lacks
 from ebb.domains import TetMesh, TriMesh
 from outputs import why_unwritable
 from pictures import CLAY, Surface, save_strip
@@ -148,14 +148,6 @@ def load_skin(name: str, console: Console, fit: bool = True) -> TriMesh:
     return TriMesh.from_arrays(fitted(points) if fit else points, triangles, manifold=False)
 
 
-def load_solid(skin: TriMesh, name: str | None, resolution: int, motion: Motion) -> TetMesh:
-    """The solid of a file, or the skin filled with tetrahedra, of which so many lie along its longest side."""
-    options = {"self_edges": True, "precision": ebb.float64} if motion is Motion.SWAY else {}
-    if name is not None:
-        return TetMesh.load(name, **options)
-    return TetMesh.from_surface(skin, resolution=resolution, **options)
-
-
 def shown(skin: TriMesh, solid: TetMesh, place: np.ndarray) -> list[Surface]:
     """The boundary of the solid, with its facets, whose vertices are at ``place``, and the skin as it is now."""
     floor = [0, 0, solid.vertices.pos.to_numpy()[:, 2].min()]
@@ -191,6 +183,9 @@ def main(
     ),
     solid: Annotated[str | None, typer.Option(help="the file of a solid that holds the surface of the file")] = None,
     resolution: Annotated[int, typer.Option(help="tetrahedra of the solid along its longest side", min=1)] = 12,
+    fix_orientation: Annotated[
+        bool, typer.Option(help="turn tetrahedra of the file that are inverted while others are not")
+    ] = False,
     motion: Annotated[Motion, typer.Option(help="twist: about the z axis; sway: a soft body")] = Motion.TWIST,
     turns: Annotated[float, typer.Option(help="how far the solid is twisted, in turns a metre")] = 0.2,
     steps: Annotated[int, typer.Option(help="of the soft body", min=1)] = 45,
@@ -207,7 +202,11 @@ def main(
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
         skin = load_skin(mesh, console, fit=solid is None)
-        body = load_solid(skin, solid, resolution, motion)
+        options = {"self_edges": True, "precision": ebb.float64} if motion is Motion.SWAY else {}
+        if solid is None:
+            body = TetMesh.from_surface(skin, resolution=resolution, **options)
+        else:
+            body = load_solid(solid, fix_orientation, console, **options)
         console.print(f"{skin.vertices.size} points of the skin in {body.tetrahedra.size} tetrahedra")
         moments = run(motion, skin, body, turns, steps, dt)
         how = f"{turns:g} turns a metre" if motion is Motion.TWIST else f"{steps} steps of {dt:g} s"
@@ -218,7 +217,7 @@ def main(
             skin.save(save, positions="q", fields=["normal"] if save.suffix in (".vtu", ".vtk") else [])
         if save is not None:
             console.print(f"saved {save}")
-    except (ebb.EbbError, fem.StepError) as error:
+    except (ValueError, ebb.EbbError, fem.StepError) as error:
         raise SystemExit(str(error)) from None
 
 

@@ -222,11 +222,23 @@ def test_bad_elements_are_counted():
         HexMesh.from_arrays(points, cells)
     assert "element 2" in str(caught.value)
     mesh = HexMesh.from_arrays(points, cells, fix_orientation=True)
-    assert hex_volumes(*arrays_of(mesh)) == pytest.approx(np.full(8, 1 / 8))
+    assert hex_volumes(*arrays_of(mesh)) == pytest.approx(np.full(8, 1 / 8)) and mesh.turned == 2
+    with pytest.raises(ebb.MeshFormatError, match="2 of the 8 elements are inverted"):
+        HexMesh.from_arrays(points, cells, fix_orientation=None)
+    assert HexMesh.from_arrays(points, cells[[2, 5]], fix_orientation=None).turned == 2
     cells[1] = cells[1, 0]
     cells[3, 7] = cells[3, 6]
     with pytest.raises(ebb.MeshFormatError, match="2 of the 8 elements are degenerate"):
         HexMesh.from_arrays(points, cells)
+
+
+@pytest.mark.parametrize("kept", [slice(None), [0, 3, 7]])
+def test_an_element_may_not_be_given_twice(kept):
+    points, cells = arrays_of(HexMesh.box(2, 2, 2))
+    given = cells[kept]
+    twice = np.concatenate([given, given[1:2, [1, 2, 3, 0, 5, 6, 7, 4]]])
+    with pytest.raises(ebb.MeshFormatError, match=rf"element {len(given)} .* is the element 1 once more"):
+        HexMesh.from_arrays(points, twice)
 
 
 def test_bad_options():

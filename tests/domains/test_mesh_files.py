@@ -76,6 +76,12 @@ def test_veg_may_count_from_0_and_be_inverted(tmp_path):
     assert TetMesh.load(path).tetrahedra.volume.to_numpy() == pytest.approx([1 / 6])
     with pytest.raises(ebb.MeshFormatError, match=r"line 10: tetrahedron 0 .* is inverted"):
         TetMesh.load(path, fix_orientation=False)
+    text = "*VERTICES\n5 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n4 0 0 -1\n*ELEMENTS\nTET\n2 4\n0 0 1 2 3\n1 0 1 2 4\n"
+    path = write(tmp_path / "tets.veg", text)
+    with pytest.raises(ebb.MeshFormatError, match=r"line 12: tetrahedron 1 .* is inverted") as caught:
+        TetMesh.load(path)
+    assert "1 of the 2 elements" in str(caught.value)
+    assert TetMesh.load(path, fix_orientation=True).turned == 1
 
 
 def test_files_of_windows_and_tabs(tmp_path):

@@ -64,7 +64,7 @@ def test_options_and_regions_are_kept(tmp_path):
     path = tmp_path / "two.veg"
     path.write_text(
         "*VERTICES\n5 3 0 0\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n5 1 1 1\n"
-        "*ELEMENTS\nTET\n2 4 0\n1 1 2 3 4\n2 5 2 3 4\n"
+        "*ELEMENTS\nTET\n2 4 0\n1 1 2 3 4\n2 5 3 2 4\n"
         "*MATERIAL soft\nENU, 1000, 1e5, 0.45\n*MATERIAL hard\nENU, 1000, 1e7, 0.3\n"
         "*SET one\n1\n*SET two\n2\n*REGION\none, soft\n*REGION\ntwo, hard\n"
     )

@@ -131,9 +131,22 @@ def test_inverted_elements_are_turned_on_request():
     points, cells = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1, 3]]
     with pytest.raises(ebb.MeshFormatError, match="inverted"):
         TetMesh.from_arrays(points, cells)
-    mesh = TetMesh.from_arrays(points, cells, fix_orientation=True)
-    assert mesh.tetrahedra.volume.to_numpy() == pytest.approx([1 / 6])
-    assert sorted(mesh.tetrahedra.v.to_numpy()[0].tolist()) == [0, 1, 2, 3]
+    for fix_orientation in (True, None):
+        mesh = TetMesh.from_arrays(points, cells, fix_orientation=fix_orientation)
+        assert mesh.tetrahedra.volume.to_numpy() == pytest.approx([1 / 6])
+        assert mesh.tetrahedra.v.to_numpy().tolist() == [[0, 2, 3, 1]] and mesh.turned == 1
+    assert TetMesh.box(1, 1, 1).turned == 0
+
+
+def test_an_element_may_not_be_given_twice():
+    box = TetMesh.box(2, 2, 2)
+    points, cells = box.vertices.pos.to_numpy(), box.tetrahedra.v.to_numpy()
+    for order in ([0, 1, 2, 3], [1, 2, 0, 3]):
+        for kept in (cells, cells[[5, 20, 30]]):  # where others are at its faces, and where none are
+            with pytest.raises(
+                ebb.MeshFormatError, match=rf"tetrahedron {len(kept)} .* is the tetrahedron 1 once more"
+            ):
+                TetMesh.from_arrays(points, np.concatenate([kept, kept[1:2][:, order]]))
 
 
 def test_the_caller_keeps_the_arrays():

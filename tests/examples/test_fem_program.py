@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 import ebb
@@ -83,7 +84,7 @@ def test_pictures_series_and_last_states(run, tmp_path, monkeypatch):
 
 def test_materials_and_what_wins_over_them(run, tmp_path):
     write_veg(tmp_path / "box.veg")
-    mesh = fem_program.load_mesh(str(tmp_path / "box.veg"), 20, 0, True)
+    mesh = fem_program.load_mesh(str(tmp_path / "box.veg"), 20, 0, False, Console())
     (found,) = fem_program.materials_of(mesh, None, None, None)
     assert (found.density, found.young, found.poisson, len(found.rows)) == (500, 30000, 0.25, 12)
     (found,) = fem_program.materials_of(mesh, 7.0, None, 3.0)
@@ -118,14 +119,40 @@ def test_forces_and_fixed_vertices_from_files(run, tmp_path):
 def test_meshes_of_other_kinds(run, tmp_path):
     ball = TetMesh.ball(2)
     cells = ball.tetrahedra.v.to_numpy()
-    np.savez(tmp_path / "ball.npz", V=ball.vertices.pos.to_numpy(), T=cells[:, [1, 0, 2, 3]])
+    np.savez(tmp_path / "ball.npz", V=ball.vertices.pos.to_numpy(), T=cells)
     TriMesh.icosphere(1).save(tmp_path / "ball.off")
-    assert run("--mesh", "ball.npz", "--steps", 1, "--dump", "a.npz")[0] == 0
-    code, text = run("--mesh", "ball.npz", "--steps", 1, "--no-fix-orientation")
-    assert code == 1 and "160" in text and "invert" in text
+    code, text = run("--mesh", "ball.npz", "--steps", 1)
+    assert code == 0 and "turned" not in text
     assert run("--mesh", "ball.off", "--resolution", 4, "--steps", 1)[0] == 0
     code, text = run("--mesh", "ball.npz", "--steps", 1, "--refine", 1)
     assert code == 0 and "1280 tetrahedra" in text
+
+
+def test_tetrahedra_of_the_other_convention_and_some_that_are_inverted(run, tmp_path):
+    ball = TetMesh.ball(2)
+    points, cells = ball.vertices.pos.to_numpy(), ball.tetrahedra.v.to_numpy()
+    found = []
+    for name, inverted, words in (
+        ("ours", [], ()),
+        ("other", slice(None), ()),
+        ("other", slice(None), ("--fix-orientation",)),
+        ("some", [7, 90], ("--fix-orientation",)),
+    ):
+        given = cells.copy()
+        given[inverted] = given[inverted][:, [0, 1, 3, 2]]
+        np.savez(tmp_path / f"{name}.npz", V=points, T=given)
+        code, text = run("--mesh", f"{name}.npz", "--fixed", "x-", "--steps", 2, "--dump", "out.npz", *words)
+        assert code == 0, text
+        expected = {"ours": 0, "other": 1, "some": 1}
+        assert text.count("turned") == expected[name]
+        with np.load(tmp_path / "out.npz") as states:
+            found.append(states["q"][-1])
+    for each in found[1:]:
+        np.testing.assert_allclose(each, found[0], rtol=0, atol=1e-9 * np.abs(found[0]).max())
+    assert "2 of the 160 tetrahedra were inverted" in text
+    code, text = run("--mesh", "some.npz", "--steps", 1)
+    assert code == 1 and "tetrahedron 7 " in text and "2 of the 160 elements are inverted" in text
+    assert "--fix-orientation turns them" in text
 
 
 def test_rest(run, tmp_path):

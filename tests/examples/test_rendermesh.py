@@ -125,5 +125,14 @@ def test_the_program_of_a_soft_body(tmp_path):
     assert result.exit_code == 0, result.output
     assert "162 points of the skin in 160 tetrahedra" in result.output
     assert TriMesh.load(tmp_path / "out.off").triangles.size == 320
+    ball = TetMesh.ball(2, 1.2)
+    cells = ball.tetrahedra.v.to_numpy()
+    cells[3] = cells[3, [0, 1, 3, 2]]
+    np.savez(tmp_path / "ball.npz", V=ball.vertices.pos.to_numpy(), T=cells)
+    other = ["--mesh", words[1], "--solid", str(tmp_path / "ball.npz")]
+    result = CliRunner().invoke(app, other)
+    assert "tetrahedron 3 " in str(result.exception) and "--fix-orientation turns" in str(result.exception)
+    result = CliRunner().invoke(app, [*other, "--fix-orientation"])
+    assert result.exit_code == 0 and "1 of the 160 tetrahedra were inverted" in result.output
     result = CliRunner().invoke(app, [*words, "--save", str(tmp_path / "out.off" / "picture.png")])
     assert "cannot be written" in str(result.exception) and "points of the skin" not in result.output

@@ -15,6 +15,7 @@ from ebb.domains.io.errors import (
     InvertedElement,
     NonManifold,
     NotFinite,
+    RepeatedElement,
     WrongArray,
 )
 from ebb.domains.topology import Edges, faces_of_tetrahedra, undirected_edges
@@ -94,27 +95,39 @@ def check_triangles(mesh: MeshData, manifold: bool = True) -> None:
 
 @record(eq=False)
 class Solid:
-    """A mesh of tetrahedra of positive volume, with what its check has found: edges, boundary and volumes."""
+    """A mesh of tetrahedra of positive volume, with what its check has found: edges, boundary and volumes.
+
+    ``turned`` of its tetrahedra were negative.
+    """
 
     mesh: MeshData
     edges: Edges
     boundary: Integers
     volume: Floats
+    turned: int
 
 
-def check_tetrahedra(mesh: MeshData, fix_orientation: bool, largest: float = _LARGEST) -> Solid:
-    """Check that the tetrahedra have positive volumes and that at most two meet at a face.
+def are_turned(negative: int, total: int, fix_orientation: bool | None) -> bool:
+    """Whether so many negative elements of all are turned, rather than an error.
 
-    With ``fix_orientation`` inverted elements are turned. No coordinate may be beyond ``largest``.
+    Where ``fix_orientation`` is None, they are if all are negative: then they follow another convention.
+    """
+    return negative == total if fix_orientation is None else fix_orientation
+
+
+def check_tetrahedra(mesh: MeshData, *, fix_orientation: bool | None, largest: float = _LARGEST) -> Solid:
+    """Check that the tetrahedra have positive volumes, that at most two meet at a face, and that none is given twice.
+
+    What is done about negative ones, ``are_turned`` says. No coordinate may be beyond ``largest``.
 
     Raises:
-        MeshFormatError: E705 to E709.
+        MeshFormatError: E705 to E709, E719.
     """
     check_rows(mesh, "tetrahedron", largest)
     volume, longest = _measures(mesh)
     _check_flat(mesh, "tetrahedron", "volume", np.abs(volume) <= _FLAT * longest**3)
     inverted = np.flatnonzero(volume < 0)
-    if inverted.size and not fix_orientation:
+    if inverted.size and not are_turned(inverted.size, len(mesh.cells), fix_orientation):
         row = int(inverted[0])
         corners = tuple(mesh.cells[row].tolist())
         raise MeshFormatError(
@@ -130,10 +143,28 @@ def check_tetrahedra(mesh: MeshData, fix_orientation: bool, largest: float = _LA
     n = max(len(mesh.points), 1)
     edges = undirected_edges(mesh.cells, n)
     faces = faces_of_tetrahedra(mesh.cells, n, edges)
+    if faces.crowded is not None or faces.folded:
+        refuse_repeated(mesh, "tetrahedron")
     if faces.crowded is not None:
         points, row, count = faces.crowded
         raise MeshFormatError(NonManifold("tetrahedron", row, mesh.origin, points, count, "two"))
-    return Solid(mesh, edges, faces.boundary, volume)
+    return Solid(mesh, edges, faces.boundary, volume, inverted.size)
+
+
+def refuse_repeated(mesh: MeshData, cell: str) -> None:
+    """Refuse a mesh in which two cells have the same corners.
+
+    Raises:
+        MeshFormatError: E719.
+    """
+    ordered = np.sort(mesh.cells, axis=1)
+    order = np.lexsort(ordered.T)
+    ordered = ordered[order]
+    again = np.flatnonzero((ordered[1:] == ordered[:-1]).all(axis=1))
+    if again.size:
+        first = again[np.argmin(order[again + 1])]
+        row, corners = int(order[first + 1]), tuple(mesh.cells[order[first + 1]].tolist())
+        raise MeshFormatError(RepeatedElement(cell, row, mesh.origin, corners, int(order[first])))
 
 
 def tet_volumes(points: Floats, cells: Integers) -> Floats:

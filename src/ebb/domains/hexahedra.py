@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ebb.domains.checks import check_rows
+from ebb.domains.checks import are_turned, check_rows, refuse_repeated
 from ebb.domains.generators import require_count
 from ebb.domains.grid import Grid3D
 from ebb.domains.io.data import Floats, Integers, MeshData
@@ -126,7 +126,7 @@ def brick_sides(shape: tuple[int, int, int]) -> dict[str, Integers]:
     return dict(zip(SIDES, ends, strict=True))
 
 
-def check_hexahedra(mesh: MeshData, fix_orientation: bool, largest: float) -> MeshData:
+def check_hexahedra(mesh: MeshData, *, fix_orientation: bool | None, largest: float) -> tuple[MeshData, int]:
     """Check that all elements have eight corners, at each of which the three edges are right-handed.
 
     That is what makes the map from the unit cube invertible at the corners (Knupp, "Achieving finite element mesh
@@ -134,11 +134,12 @@ def check_hexahedra(mesh: MeshData, fix_orientation: bool, largest: float) -> Me
 
     Args:
         mesh: points and the corners of the elements.
-        fix_orientation: whether to exchange the lower and the upper face of inverted elements, rather than to raise.
+        fix_orientation: whether to exchange the lower and the upper face of inverted elements, rather than to raise;
+            with None, that is done if all are inverted.
         largest: what no coordinate may be beyond.
 
     Returns:
-        The mesh, in which inverted elements are turned if ``fix_orientation``.
+        The mesh, and how many of its elements have been turned.
 
     Raises:
         MeshFormatError: E705 to E708, E715.
@@ -156,21 +157,22 @@ def check_hexahedra(mesh: MeshData, fix_orientation: bool, largest: float) -> Me
         # Turning an inverted element over leaves its flat corners flat.
         folded[part] |= inverted[part] & (signs == 0).any(axis=1)
     _refuse_flat(mesh, flat)
-    if not fix_orientation:
+    turned = int(inverted.sum())
+    if not are_turned(turned, len(cells), fix_orientation):
         _refuse_inverted(mesh, inverted)
     _refuse_folded(mesh, folded)
-    if not inverted.any():
-        return mesh
-    cells = cells.copy()
-    cells[inverted] = cells[inverted][:, _TURNED]
-    return replace(mesh, cells=cells)
+    if turned:
+        cells = cells.copy()
+        cells[inverted] = cells[inverted][:, _TURNED]
+        mesh = replace(mesh, cells=cells)
+    return mesh, turned
 
 
 def face_neighbors(mesh: MeshData) -> Integers:
     """The element beyond each of the six sides of each element, of shape (n, 6), or the element itself.
 
     Raises:
-        MeshFormatError: more than two elements share a face (E709).
+        MeshFormatError: more than two elements share a face (E709), or two have the same corners (E719).
     """
     n = max(len(mesh.points), 1)
     corners = np.sort(mesh.cells[:, FACES].reshape(-1, 4), axis=1)
@@ -180,13 +182,16 @@ def face_neighbors(mesh: MeshData) -> Integers:
     starts = np.flatnonzero(np.concatenate([[True], (low[1:] != low[:-1]) | (high[1:] != high[:-1])])[: len(order)])
     counts = np.diff(starts, append=len(order))
     crowded = np.flatnonzero(counts > 2)
+    one, other = order[starts[counts == 2]] // 6, order[starts[counts == 2] + 1] // 6
+    sums = mesh.cells.sum(axis=1)
+    if crowded.size or (sums[one] == sums[other]).any():
+        refuse_repeated(mesh, "element")
     if crowded.size:
         first = int(order[starts[crowded[0]]])
         shared = tuple(mesh.cells[first // 6, FACES[first % 6]].tolist())
         raise MeshFormatError(NonManifold("element", first // 6, mesh.origin, shared, int(counts[crowded[0]]), "two"))
     neighbors = np.repeat(np.arange(len(mesh.cells)), 6)
-    one, other = order[starts[counts == 2]], order[starts[counts == 2] + 1]
-    neighbors[one], neighbors[other] = other // 6, one // 6
+    neighbors[order[starts[counts == 2]]], neighbors[order[starts[counts == 2] + 1]] = other, one
     return neighbors.reshape(-1, 6)
 
 

@@ -95,7 +95,7 @@ class HexGrid:
         """
         points = grid_points(grid)
         made = bricks(points)
-        check_hexahedra(MeshData(made.points, made.cells), False, largest_of(precision))
+        check_hexahedra(MeshData(made.points, made.cells), fix_orientation=False, largest=largest_of(precision))
         return cls(points, symmetry=symmetry, precision=precision)
 
     @classmethod

@@ -48,6 +48,7 @@ class HexMesh:
         elements: ``v`` (8 vertices), ``xneg xpos yneg ypos zneg zpos`` (elements) and ``sides`` (int32: the kinds of
             the sides, two bits each).
         quads: the boundary: ``v`` (4 vertices), with the normal outwards, and ``element``.
+        turned: how many elements were given inverted, and have been turned.
     """
 
     INTERIOR: ClassVar[int] = 0
@@ -60,7 +61,7 @@ class HexMesh:
         *,
         symmetry: Mapping[str, npt.ArrayLike] | None = None,
         precision: Any = ebb.float32,
-        fix_orientation: bool = False,
+        fix_orientation: bool | None = False,
         neighbors: Integers | None = None,
     ) -> None:
         """The relations of a mesh that has been read or generated.
@@ -73,9 +74,9 @@ class HexMesh:
             neighbors: the element beyond each side, where it is known, of shape (n, 6).
 
         Raises:
-            MeshFormatError: the arrays make no solid (E705 to E709, E712, E715).
+            MeshFormatError: the arrays make no solid (E705 to E709, E712, E715, E719).
         """
-        mesh = check_hexahedra(mesh, fix_orientation, largest_of(precision))
+        mesh, self.turned = check_hexahedra(mesh, fix_orientation=fix_orientation, largest=largest_of(precision))
         if neighbors is None:
             neighbors = face_neighbors(mesh)
         self.vertices = ebb.Relation("vertices", size=len(mesh.points))
@@ -150,7 +151,7 @@ class HexMesh:
         *,
         symmetry: Mapping[str, npt.ArrayLike] | None = None,
         precision: Any = ebb.float32,
-        fix_orientation: bool = False,
+        fix_orientation: bool | None = False,
     ) -> HexMesh:
         """A solid from points of the shape (n, 3) and corners of the shape (m, 8), numbered from 0.
 
@@ -162,11 +163,12 @@ class HexMesh:
                 others are free.
             precision: the type of the coordinates, ``ebb.float32`` or ``ebb.float64``.
             fix_orientation: whether to exchange the lower and the upper face of inverted elements, rather than to
-                raise.
+                raise. With None that is done if all are inverted, since then they follow another convention.
 
         Raises:
             MeshFormatError: wrong shapes or kinds of numbers, an index that is no point, a coordinate that is not
-                finite, an element without volume, inverted or folded, or more than two elements at a face.
+                finite, an element without volume, inverted or folded, more than two elements at a face, or an element
+                given twice.
         """
         mesh = mesh_data(positions, elements, 8, "elements")
         return cls(mesh, symmetry=symmetry, precision=precision, fix_orientation=fix_orientation)
@@ -226,9 +228,11 @@ class HexMesh:
         *,
         symmetry: Mapping[str, npt.ArrayLike] | None = None,
         precision: Any = ebb.float32,
-        fix_orientation: bool = True,
+        fix_orientation: bool | None = None,
     ) -> HexMesh:
         """A solid from any format that meshio reads (vtu, vtk, msh, inp, ...).
+
+        Inverted elements are by default turned if all are inverted, as in ``from_arrays``; ``turned`` has their count.
 
         Raises:
             MeshFormatError: the file cannot be read or makes no solid.

@@ -39,6 +39,7 @@ class TetMesh:
         triangles: the boundary: ``v`` (3 vertices), with the normal outwards.
         materials: those of a VEG file.
         regions: which tetrahedra are of which material, by a VEG file.
+        turned: how many tetrahedra were given with a negative volume, and have been turned.
     """
 
     def __init__(
@@ -47,14 +48,15 @@ class TetMesh:
         *,
         self_edges: bool = False,
         precision: Any = ebb.float32,
-        fix_orientation: bool = False,
+        fix_orientation: bool | None = False,
     ) -> None:
         """The relations of a mesh that has been read or generated.
 
         Raises:
-            MeshFormatError: the arrays make no solid (E705 to E709), or the precision is none (E712).
+            MeshFormatError: the arrays make no solid (E705 to E709, E719), or the precision is none (E712).
         """
-        solid = check_tetrahedra(mesh, fix_orientation, largest_of(precision))
+        solid = check_tetrahedra(mesh, fix_orientation=fix_orientation, largest=largest_of(precision))
+        self.turned = solid.turned
         self._points = solid.mesh.points
         self._self_edges, self._precision = self_edges, precision
         self.materials: tuple[Material, ...] = mesh.materials
@@ -113,7 +115,7 @@ class TetMesh:
         *,
         self_edges: bool = False,
         precision: Any = ebb.float32,
-        fix_orientation: bool = False,
+        fix_orientation: bool | None = False,
     ) -> TetMesh:
         """A solid from points of the shape (n, 3) and corners of the shape (m, 4), numbered from 0.
 
@@ -122,11 +124,13 @@ class TetMesh:
             tetrahedra: the corners of each.
             self_edges: whether each vertex gets an edge to itself.
             precision: the type of the coordinates in ``pos``, ``ebb.float32`` or ``ebb.float64``.
-            fix_orientation: whether to exchange two corners of inverted tetrahedra, rather than to raise.
+            fix_orientation: whether to exchange the corners 2 and 3 of tetrahedra of negative volume, rather than to
+                raise. With None that is done if all are negative, since then they follow another convention.
 
         Raises:
             MeshFormatError: wrong shapes or kinds of numbers, an index that is no point, a coordinate that is not
-                finite, a tetrahedron without volume or inverted, or more than two tetrahedra at a face.
+                finite, a tetrahedron without volume or inverted, more than two tetrahedra at a face, or a tetrahedron
+                given twice.
         """
         mesh = mesh_data(positions, tetrahedra, 4, "tetrahedra")
         return cls(mesh, self_edges=self_edges, precision=precision, fix_orientation=fix_orientation)
@@ -138,12 +142,12 @@ class TetMesh:
         *,
         self_edges: bool = False,
         precision: Any = ebb.float32,
-        fix_orientation: bool = True,
+        fix_orientation: bool | None = None,
     ) -> TetMesh:
         """A solid from a VEG file, or from any format that meshio reads.
 
-        Formats and programs differ in which orientation they call positive (the meshes that come with Vega FEM are all
-        negative here), so by default inverted tetrahedra of a file are turned, and their corners 2 and 3 exchanged.
+        Programs differ in which orientation they call positive, so by default the tetrahedra of a file all of which are
+        negative are turned; ``turned`` has their count. Where only some are, that is an error, as in ``from_arrays``.
 
         Raises:
             MeshFormatError: the file cannot be read, is malformed, or makes no solid; it names the line.

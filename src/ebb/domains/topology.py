@@ -135,11 +135,13 @@ class Faces:
     """The triangles of a tetrahedral mesh.
 
     ``boundary`` has the shape (faces, 3): those of one tetrahedron, outward. ``crowded`` is None, or a face of more
-    than two tetrahedra: (its points, a tetrahedron at it, how many there are).
+    than two tetrahedra: (its points, a tetrahedron at it, how many there are). ``folded`` tells whether two tetrahedra
+    at one face have the fourth corner, too, in common.
     """
 
     boundary: Integers
     crowded: tuple[tuple[int, ...], int, int] | None
+    folded: bool
 
 
 def faces_of_tetrahedra(cells: Integers, n_vertices: int, edges: Edges | None = None) -> Faces:
@@ -170,7 +172,9 @@ def faces_of_tetrahedra(cells: Integers, n_vertices: int, edges: Edges | None = 
         first = int(order[starts[worst]])
         points = tuple(cells[first // 4, OUTWARD_FACES[first % 4]].tolist())
         crowded = (points, first // 4, int(counts[worst]))
-    return Faces(boundary, crowded)
+    pairs, opposite = starts[counts == 2], cells.ravel()  # the number of a face is that of the corner opposite to it
+    folded = bool((opposite[order[pairs]] == opposite[order[pairs + 1]]).any())
+    return Faces(boundary, crowded, folded)
 
 
 def corner_rows(cells: Integers) -> tuple[Integers, Integers]:

@@ -195,6 +195,23 @@ class InvertedElement(BadElement):
 
 
 @record
+class RepeatedElement(BadElement):
+    """Two elements have the same corners: what is summed over elements would count them twice."""
+
+    code: ClassVar[str] = "E719"
+    corners: tuple[int, ...]
+    other: int
+
+    @property
+    def complaint(self) -> str:
+        return f"with the corners {self.corners} is the {self.kind} {self.other} once more"
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("keep `cells[np.unique(np.sort(cells, axis=1), axis=0, return_index=True)[1]]`",)
+
+
+@record
 class NonManifold(BadElement):
     """More cells meet at an edge or a face than a surface or a solid can have there."""
 
