@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from ebb.backends.llvm import ops
+from ebb.backends.llvm.fit import is_failure
 from ebb.backends.llvm.lane_ops import MASK, NUMBERS, LaneWriter, identity, suffix, wide, wide_type
-from ebb.backends.llvm.strips import PlaceKey, RowLoad, StripPlan, Sum, Update, is_failure
+from ebb.backends.llvm.strips import PlaceKey, RowLoad, StripPlan, Sum, Update
 from ebb.backends.llvm.transpose import LANES, transposed, width_of
 from ebb.backends.llvm.writer import FunctionWriter
 from ebb.compiler import lir

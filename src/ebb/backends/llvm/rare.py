@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from ebb.backends.llvm.strips import is_failure
+from ebb.backends.llvm.fit import is_failure
 from ebb.backends.llvm.writer import FunctionWriter
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands, statements

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from enum import Enum
 
-from ebb.backends.llvm.strips import LANE_MATH, is_failure
+from ebb.backends.llvm.fit import Change, Unfit, change_of, demand, demand_lanes, is_failure
 from ebb.backends.llvm.transpose import LANES
 from ebb.backends.llvm.vector_math import VectorForms
 from ebb.compiler import lir
@@ -24,10 +24,6 @@ LEAST_WORK = 12
 MOST_LISTED = 1000
 """Longer bodies of loops over lists are compiled once, not in strips as well."""
 
-_BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
-_CHANGES = frozenset({"+", "-", "*", "min", "max", "&", "|", "^"})
-_SWAPPED = _CHANGES - {"-"}
-
 
 class Reach(Enum):
     """How the rows of a strip reach a place: all the same, one after the other, or each its own."""
@@ -35,14 +31,6 @@ class Reach(Enum):
     SAME = "same"
     FOLLOWING = "following"
     OWN = "own"
-
-
-@record
-class Update:
-    """A store that changes an element of another row: by ``op`` and ``value``."""
-
-    op: str
-    value: lir.Value
 
 
 @record
@@ -57,20 +45,16 @@ class RowPlan:
     """
 
     definitions: dict[int, lir.Operation]
-    updates: dict[int, Update]
+    updates: dict[int, Change]
     skipped: set[int]
     checks: int
-
-
-class _Unfit(Exception):  # noqa: N818 - no error: the loop is taken as it is
-    """The loop cannot run in strips."""
 
 
 def plan_rows(loop: lir.RowLoop, vector_math: VectorForms) -> RowPlan | None:
     """How ``loop`` runs in strips, or None where it cannot, or gains nothing by it."""
     try:
         return _Planner(loop, vector_math).plan(gains=True)
-    except _Unfit:
+    except Unfit:
         return None
 
 
@@ -92,7 +76,7 @@ def plan_runs(loop: lir.RowLoop, vector_math: VectorForms) -> tuple[lir.RowLoop,
         planner = _Planner(rows, vector_math)
         demand(len(planner.all) <= MOST_LISTED)
         return rows, planner.plan(gains=False)
-    except _Unfit:
+    except Unfit:
         return None
 
 
@@ -106,7 +90,7 @@ class _Planner:
         self.reach = {index.number: Reach.SAME for index in loop.index}
         self.reach[loop.index[-1].number] = Reach.FOLLOWING
         self.declared = {stmt.var.number for stmt in self.all if isinstance(stmt, lir.Declare)}
-        self.updates: dict[int, Update] = {}
+        self.updates: dict[int, Change] = {}
         self.skipped: set[int] = set()
         self.touches: Counter[int] = Counter()
         self.changes: Counter[int] = Counter()
@@ -177,7 +161,7 @@ class _Planner:
                 case lir.Store(slot, index, value):
                     self.check_store(stmt, slot, index, value, nested)
                 case _:
-                    raise _Unfit
+                    raise Unfit
 
     def check_store(self, stmt: lir.Store, slot: lir.Slot, index: lir.Value, value: lir.Value, nested: bool) -> None:
         if self.find_update(stmt, slot, index, value):
@@ -187,20 +171,17 @@ class _Planner:
 
     def find_update(self, stmt: lir.Store, slot: lir.Slot, index: lir.Value, stored: lir.Value) -> bool:
         """Whether ``stmt`` changes an element of another row by an operation; notes it."""
-        if self.loop.rows is lir.Rows.INDEPENDENT or not isinstance(stored, lir.Temp):
+        if self.loop.rows is lir.Rows.INDEPENDENT:
             return False  # independent rows change nothing but their own
-        match self.definitions.get(stored.number):
-            case lir.Binary(op, lir.Temp() as before, value) if op in _CHANGES and self.reads(before, slot, index):
-                pass
-            case lir.Binary(op, value, lir.Temp() as before) if op in _SWAPPED and self.reads(before, slot, index):
-                pass
-            case _:
-                return False
-        if self.uses[stored.number] != 1 or self.touches[slot.number] != 2 * self.changes[slot.number]:
+        change = self.change(slot, index, stored)
+        if change is None or self.touches[slot.number] != 2 * self.changes[slot.number]:
             return False
-        self.skipped |= {stored.number, before.number}
-        self.updates[id(stmt)] = Update(op, value)
+        self.skipped |= change.made
+        self.updates[id(stmt)] = change
         return True
+
+    def change(self, slot: lir.Slot, index: lir.Value, stored: lir.Value) -> Change | None:
+        return change_of(slot, index, stored, self.definitions, self.uses)
 
     def count_changes(self) -> None:
         """How often each slot is touched, and how often loaded, changed and stored."""
@@ -208,23 +189,11 @@ class _Planner:
             match stmt:
                 case lir.Let(_, lir.Load(slot, _)):
                     self.touches[slot.number] += 1
-                case lir.Store(slot, index, lir.Temp(number)):
+                case lir.Store(slot, index, stored):
                     self.touches[slot.number] += 1
-                    operation = self.definitions.get(number)
-                    if isinstance(operation, lir.Binary):
-                        loads = [x for x in (operation.left, operation.right) if isinstance(x, lir.Temp)]
-                        self.changes[slot.number] += any(self.reads(load, slot, index) for load in loads)
-                case lir.Store(slot, _, _):
-                    self.touches[slot.number] += 1
+                    self.changes[slot.number] += self.change(slot, index, stored) is not None
                 case _:
                     pass
-
-    def reads(self, value: lir.Temp, slot: lir.Slot, index: lir.Value) -> bool:
-        match self.definitions.get(value.number):
-            case lir.Load(read, at):
-                return read == slot and at == index and self.uses[value.number] == 1
-            case _:
-                return False
 
     def check_operation(self, temp: lir.Temp, operation: lir.Operation) -> None:
         same = self.reach_of(temp) is Reach.SAME
@@ -237,19 +206,8 @@ class _Planner:
                 demand(not isinstance(operation, lir.ThreadNumber))
             case lir.Binary(">>", _, right):
                 demand(temp.type.kind is Kind.SIGNED and self.reach_of(right) is Reach.SAME)
-            case lir.Binary(op, _, _):
-                demand(op in _BINARY and (op != "/" or temp.type.kind is Kind.FLOAT))
-            case lir.Math(function, _):
-                forms = self.vector_math.get((function, temp.type.bits), ())
-                demand(function in LANE_MATH or any(form.lanes == LANES for form in forms))
             case _:
-                pass
-
-
-def demand(holds: bool) -> None:
-    """Gives the loop up unless that holds."""
-    if not holds:
-        raise _Unfit
+                demand_lanes(temp, operation, self.vector_math)
 
 
 def _work(operation: lir.Operation) -> int:

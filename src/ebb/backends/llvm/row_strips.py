@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ebb.backends.llvm import ops
+from ebb.backends.llvm.fit import is_failure
 from ebb.backends.llvm.lane_ops import LaneWriter, identity, wide, wide_type
 from ebb.backends.llvm.lanes import Emitter, Flags
 from ebb.backends.llvm.row_memory import NUMBERS_64, RowMemory
 from ebb.backends.llvm.row_plan import RowPlan
 from ebb.backends.llvm.row_values import Held, Lanes, Place, Same
-from ebb.backends.llvm.strips import is_failure
 from ebb.backends.llvm.transpose import LANES
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands

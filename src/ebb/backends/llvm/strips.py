@@ -11,19 +11,11 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TypeAlias
 
-from ebb.backends.llvm.transpose import LANES
+from ebb.backends.llvm.fit import Unfit, change_of, demand, demand_lanes, is_failure
 from ebb.backends.llvm.vector_math import VectorForms
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands, statements, values, variable_reads
 from ebb.records import record
-from ebb.types.types import Kind
-
-LANE_MATH = frozenset({"sqrt", "abs", "floor", "ceil", "trunc", "round", "copysign"})
-"""The functions that every target computes for all lanes at once."""
-
-_LANE_BINARY = frozenset({"+", "-", "*", "/", "min", "max", "&", "|", "^"})
-_SUMS = frozenset({"+", "*", "min", "max", "&", "|", "^"})
-_CHANGES = _SUMS | {"-"}
 
 WORK_OF_A_SUM, WORK_OF_A_LOAD = 4, 1
 """A loop of less work a turn than this, for each sum and once more, and for each number that a turn loads, is left as
@@ -106,10 +98,6 @@ class StripPlan:
         return isinstance(value, lir.Temp) and value.number in self.loose
 
 
-class _Unfit(Exception):  # noqa: N818 - no error: the loop is taken as it is
-    """The loop cannot run in strips."""
-
-
 def plan_strips(loop: lir.For, reads: Mapping[int, int], vector_math: VectorForms) -> StripPlan | None:
     """How ``loop`` runs in strips, or None where it cannot.
 
@@ -120,14 +108,8 @@ def plan_strips(loop: lir.For, reads: Mapping[int, int], vector_math: VectorForm
     """
     try:
         return _Planner(loop, reads, vector_math).plan
-    except _Unfit:
+    except Unfit:
         return None
-
-
-def is_failure(stmt: lir.If) -> bool:
-    """Whether ``stmt`` does nothing but fail."""
-    arms = [arm for arm in (stmt.then, stmt.orelse) if arm]
-    return len(arms) == 1 and len(arms[0]) == 1 and isinstance(arms[0][0], lir.Fail)
 
 
 def split(plan: StripPlan, index: lir.Value) -> tuple[lir.Value, int]:
@@ -161,9 +143,9 @@ class _Planner:
         self.check_places(loop.body, checked=False)
         self.find_rows(loop.body)
         self.find_addressing(lets)
-        self.demand(bool(self.plan.sums))
+        demand(bool(self.plan.sums))
         least = WORK_OF_A_SUM * (len(self.plan.sums) + 1) + WORK_OF_A_LOAD * self.loaded()
-        self.demand(self.work(lets) >= least)
+        demand(self.work(lets) >= least)
 
     def loaded(self) -> int:
         """How many numbers a turn loads that are no keys."""
@@ -189,33 +171,16 @@ class _Planner:
 
     def find_update(self, stmt: lir.Stmt, place: lir.Slot | lir.Var, index: lir.Value, stored: lir.Value) -> None:
         """Notes that ``stmt`` adds to the place, if it does."""
-        if not (isinstance(stored, lir.Temp) and self.uses[stored.number] == 1):
-            return
-        match self.plan.definitions.get(stored.number):
-            case lir.Binary(op, lir.Temp() as before, value) if op in _CHANGES and self.reads(before, place, index):
-                pass
-            case lir.Binary(op, value, lir.Temp() as before) if op in _SUMS and self.reads(before, place, index):
-                pass
-            case _:
-                return
-        self.plan.skipped |= {stored.number, before.number}
-        self.add_update(stmt, place, index, Update(place_key(place, index), op, value))
-
-    def reads(self, value: lir.Temp, place: lir.Slot | lir.Var, index: lir.Value) -> bool:
-        """Whether ``value`` is what was in the place, and is used for nothing else."""
-        if self.uses[value.number] != 1:
-            return False
-        match self.plan.definitions.get(value.number):
-            case lir.Load(read, at) | lir.LoadVar(read, at):
-                return read == place and at == index
-            case _:
-                return False
+        change = change_of(place, index, stored, self.plan.definitions, self.uses)
+        if change is not None:
+            self.plan.skipped |= change.made
+            self.add_update(stmt, place, index, Update(place_key(place, index), change.op, change.value))
 
     def add_update(self, stmt: lir.Stmt, place: lir.Slot | lir.Var, index: lir.Value, update: Update) -> None:
         op = "+" if update.op == "-" else update.op
         self.plan.sums.setdefault(update.key, Sum(place, index, op))
         for other in self.plan.sums.values():
-            self.demand(other.op == op or other.place != place or self.apart(other.index, index))
+            demand(other.op == op or other.place != place or self.apart(other.index, index))
         self.plan.updates[id(stmt)] = update
 
     def apart(self, left: lir.Value, right: lir.Value) -> bool:
@@ -245,7 +210,7 @@ class _Planner:
         here = variable_reads(self.loop.body)
         for stmt in statements(self.loop.body):
             if isinstance(stmt, lir.Declare | lir.StoreVar) and id(stmt) not in self.plan.updates:
-                self.demand(stmt.var.number not in summed and here[stmt.var.number] == reads[stmt.var.number])
+                demand(stmt.var.number not in summed and here[stmt.var.number] == reads[stmt.var.number])
                 self.plan.private.add(stmt.var.number)
 
     def find_varying(self, lets: list[lir.Let]) -> None:
@@ -270,7 +235,7 @@ class _Planner:
             elif number not in self.plan.skipped:
                 self.plan.early.append(let)
         for sum_ in self.plan.sums.values():
-            self.demand(not (isinstance(sum_.index, lir.Temp) and sum_.index.number in late))
+            demand(not (isinstance(sum_.index, lir.Temp) and sum_.index.number in late))
 
     def find_addressing(self, lets: list[lir.Let]) -> None:
         wanted = self.plan.addressing
@@ -286,11 +251,6 @@ class _Planner:
                 wanted.update(value.number for value in operands(let.operation) if isinstance(value, lir.Temp))
 
     # ---- What is fit ----
-
-    @staticmethod
-    def demand(holds: bool) -> None:
-        if not holds:
-            raise _Unfit
 
     def check(self, body: lir.Body, assigned: set[tuple[int, int]]) -> None:
         """Every statement can be done in lanes; ``assigned`` are the components of private variables with a value."""
@@ -312,29 +272,24 @@ class _Planner:
                 case lir.Let():
                     pass
                 case _:
-                    self.demand(id(stmt) in self.plan.updates)
+                    demand(id(stmt) in self.plan.updates)
 
     def check_operation(self, temp: lir.Temp, operation: lir.Operation, assigned: set[tuple[int, int]]) -> None:
         match operation:
             case lir.LoadVar(var, index):
                 self.check_variable(var, index, assigned)
             case lir.Load(slot, _):
-                self.demand(all(sum_.place != slot for sum_ in self.plan.sums.values()))
+                demand(all(sum_.place != slot for sum_ in self.plan.sums.values()))
             case _ if temp.number not in self.plan.varying:
                 pass
-            case lir.Binary(op, _, _):
-                self.demand(op in _LANE_BINARY and (op != "/" or temp.type.kind is Kind.FLOAT))
-            case lir.Math(function, _):
-                forms = self.vector_math.get((function, temp.type.bits), ())
-                self.demand(function in LANE_MATH or any(form.lanes == LANES for form in forms))
             case _:
-                pass
+                demand_lanes(temp, operation, self.vector_math)
 
     def check_variable(self, var: lir.Var, index: lir.Value, assigned: set[tuple[int, int]]) -> None:
         summed = any(sum_.place == var for sum_ in self.plan.sums.values())
-        self.demand(not summed and not self.plan.varies(index))
+        demand(not summed and not self.plan.varies(index))
         if var.number in self.plan.private:
-            self.demand(isinstance(index, lir.Literal) and (var.number, index.value) in assigned)
+            demand(isinstance(index, lir.Literal) and (var.number, index.value) in assigned)
 
     def check_places(self, body: lir.Body, checked: bool) -> None:
         """All sums are added to their places behind the loop, so none may be at a place that a check keeps turns from.
@@ -350,7 +305,7 @@ class _Planner:
                         fails = any(isinstance(inner, lir.If) and is_failure(inner) for inner in arm)
                         self.check_places(arm, checked or fails)
                 case _ if checked and id(stmt) in self.plan.updates:
-                    self.demand(self.is_component(self.plan.sums[self.plan.updates[id(stmt)].key]))
+                    demand(self.is_component(self.plan.sums[self.plan.updates[id(stmt)].key]))
                 case _:
                     pass
 
