@@ -33,7 +33,7 @@ def write_half_and_die(path: str, content: bytes) -> None:
 
 def main(source: str, target: str, count: str) -> None:
     cache = ObjectCache(Path(source))
-    keys = [path.stem for path in cache.directory.iterdir()]
+    keys = [path.stem for path in cache.directory.glob("*.o")]
     pieces = {key: cache.get(key) for key in keys}
     assert keys and all(pieces.values())
     for turn in range(int(count)):

@@ -64,7 +64,7 @@ def test_processes_begin_at_once_on_an_empty_folder(tmp_path, count):
     processes = [start(tmp_path / "cache") for _ in range(count)]
     assert [finish(process) for process in processes] == [("right\n", "")] * count
     files = sorted(path.suffix for path in (tmp_path / "cache").iterdir())
-    assert files == [".o"] * KERNELS
+    assert [suffix for suffix in files if suffix != ".i"] == [".o"] * KERNELS
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_files_cannot_grow(tmp_path, largest):
     limited = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({largest}, {largest}))"
     complaint = run(tmp_path, limited)
     assert complaint.count("UserWarning") == 1 and "cannot be kept" in complaint
-    assert not list(tmp_path.iterdir())
+    assert not [path for path in tmp_path.iterdir() if path.suffix != ".i"]
 
 
 @pytest.fixture

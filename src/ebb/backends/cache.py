@@ -1,4 +1,4 @@
-"""The disk cache of object code: files named by a hash of everything that the code depends on.
+"""The disk cache of object code, and of what else is known of kernels: files named by a hash of all it depends on.
 
 Whatever happens to the folder, a kernel runs and runs right: what cannot be read is compiled, and what cannot be kept
 is compiled again by the next process.
@@ -22,6 +22,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import suppress
+from enum import Enum
 from pathlib import Path
 
 try:  # what hashlib has, without OpenSSL, which takes 2 ms to load
@@ -41,7 +42,7 @@ _LARGEST_FILE = 64 * _MEBIBYTE
 
 _CHECKSUM_BYTES = 32
 
-_OURS = re.compile(r"[0-9a-f]{64}\.(?:o|[0-9a-f]{16}\.part)")
+_OURS = re.compile(r"[0-9a-f]{64}\.(?:[oi]|[0-9a-f]{16}\.part)")
 """The names of our files. No other file is ever removed, should the folder hold any."""
 
 _UNUSED_FOR = 3600.0
@@ -102,6 +103,13 @@ def cache_usage(directory: Path) -> tuple[int, int]:
     return sum(whole for whole, _ in files), sum(size for _, size in files)
 
 
+class Content(Enum):
+    """What a file holds, by the end of its name."""
+
+    CODE = ".o"
+    INTERFACE = ".i"
+
+
 class ObjectCache:
     """The object code in one folder. Without the folder everything works, and is compiled anew in each process.
 
@@ -117,28 +125,28 @@ class ObjectCache:
         self.limit = cache_limit() if limit is None else limit
         self._prefix = os.path.join(self.directory, "")
 
-    def get(self, key: str) -> bytes | None:
-        """The code kept under ``key``, or None where there is none that is whole and ours."""
+    def get(self, key: str, content: Content = Content.CODE) -> bytes | None:
+        """The code, or other content, kept under ``key``, or None where there is none that is whole and ours."""
         if not self.limit:
             return None
-        path = f"{self._prefix}{key}.o"
+        path = f"{self._prefix}{key}{content.value}"
         try:
             with open(path, "rb", buffering=0, opener=_open_to_read) as file:
                 status = os.fstat(file.fileno())
                 if not _is_trusted(status) or status.st_size > _LARGEST_FILE:
                     return None
-                content = file.read(status.st_size)
+                whole = file.read(status.st_size)
         except OSError:
             return None
-        image = content[_CHECKSUM_BYTES:]
-        if not image or content[:_CHECKSUM_BYTES] != _checksum(key, image):
+        image = whole[_CHECKSUM_BYTES:]
+        if not image or whole[:_CHECKSUM_BYTES] != _checksum(key, image):
             return None
         if abs(time.time() - status.st_mtime) > _UNUSED_FOR:
             with suppress(OSError):
                 os.utime(path)
         return image
 
-    def put(self, key: str, image: bytes) -> None:
+    def put(self, key: str, image: bytes, content: Content = Content.CODE) -> None:
         """Keeps ``image`` under ``key``. Where that cannot be done, warns once a process."""
         if len(image) + _CHECKSUM_BYTES > min(self.limit, _LARGEST_FILE):
             return
@@ -147,13 +155,13 @@ class ObjectCache:
             self.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
             try:
                 _write(part, _checksum(key, image) + image)
-                os.replace(part, f"{self._prefix}{key}.o")
+                os.replace(part, f"{self._prefix}{key}{content.value}")
             except BaseException:
                 with suppress(OSError):
                     os.unlink(part)
                 raise
         except OSError as error:
-            if self.get(key) is None:  # else another process was quicker, and holds the file
+            if self.get(key, content) is None:  # else another process was quicker, and holds the file
                 self._warn(error)
             return
         if key.startswith(_SWEEPING):

@@ -27,7 +27,14 @@ MOST_PRIVATE_BYTES = 1 << 20
 def object_code(
     program: lir.Program, target: Target, cache: ObjectCache, verify: Callable[[], None]
 ) -> bytes:  # fmt: skip
-    """What ``target`` takes of ``program``, in its ``form``: from ``cache``, or compiled and put there.
+    """What ``target`` takes of ``program``, in its ``form``: ``kept_code`` without its key."""
+    return kept_code(program, target, cache, verify)[1]
+
+
+def kept_code(
+    program: lir.Program, target: Target, cache: ObjectCache, verify: Callable[[], None]
+) -> tuple[str, bytes]:  # fmt: skip
+    """The key of ``program``, and what ``target`` takes of it: from ``cache``, or compiled and put there.
 
     Args:
         program: what to compile.
@@ -52,7 +59,7 @@ def object_code(
         image = target.image(module)
         log_time(program.name, "compiling", start)
         cache.put(key, image)
-    return image
+    return key, image
 
 
 def replay_code(target: Target, cache: ObjectCache) -> bytes:

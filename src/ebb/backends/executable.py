@@ -9,9 +9,8 @@ from typing import Generic
 
 from ebb.backends.backend import Bound, CheckedKernel, How, Once
 from ebb.backends.compile import check_private_bytes, stage_text, stages_of
-from ebb.backends.kernel_code import Bindings, BindingT, CodeT, KernelCode, Lowering, NoRows, step_of
+from ebb.backends.kernel_code import Bindings, BindingT, CodeT, Draft, KernelCode, Lowering, NoRows, step_of
 from ebb.backends.target import Target
-from ebb.compiler import lir
 from ebb.compiler.kir_walk import draws
 from ebb.compiler.lower import variable_bytes
 from ebb.compiler.scatter.choose import Plan, Planner, Run
@@ -93,16 +92,16 @@ class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
         """What a launch on ``rows``, which are some, runs and in which order."""
 
     @abstractmethod
-    def _load(self, program: lir.Program) -> CodeT:
-        """The code of ``program``, where it can run.
+    def _load(self, draft: Draft) -> CodeT:
+        """The code of a program, where it can run.
 
         Raises:
             BackendError: it cannot be compiled, or a device does not take it.
         """
 
     @abstractmethod
-    def _attach(self, step: Step, program: lir.Program, code: CodeT, rows: RowSet) -> BindingT:
-        """The code of ``program``, which is that of ``step``, bound to ``rows``."""
+    def _attach(self, draft: Draft, code: CodeT, rows: RowSet) -> BindingT:
+        """What ``_load`` made of ``draft``, bound to ``rows``."""
 
     @abstractmethod
     def _settle(self, binding: BindingT, run: Run) -> None:

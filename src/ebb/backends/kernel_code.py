@@ -7,8 +7,9 @@ from typing import Generic, TypeVar
 
 from ebb.backends.backend import Bound, CheckedKernel, Hints
 from ebb.compiler import lir
+from ebb.compiler.kir_key import KernelKey, kernel_key
 from ebb.compiler.lower import Launched, lower, sources_of
-from ebb.compiler.lower.facts import Facts, State
+from ebb.compiler.lower.facts import Facts, FactSources, State
 from ebb.compiler.scatter.step import Step
 from ebb.records import record
 from ebb.relations.subset import RowSet
@@ -47,6 +48,46 @@ class Lowering:
         )  # fmt: skip
 
 
+@record(eq=False)
+class Draft:
+    """A program before it is lowered, which takes most of the time of a kernel that is in the cache.
+
+    Attributes:
+        step: the kernel.
+        lowering: how it becomes a program.
+        sources: where the facts come from.
+        state: those that hold.
+        launched: how the rows are given.
+        stores: whether what they write may stay in the cache.
+    """
+
+    step: Step
+    lowering: Lowering
+    sources: FactSources
+    state: State
+    launched: Launched
+    stores: lir.Stores
+
+    @property
+    def name(self) -> str:
+        """The name of the kernel."""
+        return self.step.kernel.name
+
+    def lower(self) -> lir.Program:
+        """The program: each time another one, but always the same text and the same sites."""
+        return self.lowering.lower(self.step, self.sources.facts(self.state), self.launched, self.stores)
+
+    def key(self) -> KernelKey:
+        """The text of the kernel, which is all that the program depends on beside ``choices``."""
+        return kernel_key(self.step.kernel, self.step.phases, self.step.unchecked)
+
+    @property
+    def choices(self) -> str:
+        """What the program depends on beside the kernel. The facts are in the order of their sources in the kernel."""
+        how = (self.lowering.precision, self.lowering.updates, self.launched, self.stores)
+        return f"{[each.name for each in how]} {self.lowering.group_size} {self.state}"
+
+
 class KernelCode(Generic[CodeT, BindingT]):
     """One kernel on one backend."""
 
@@ -54,8 +95,8 @@ class KernelCode(Generic[CodeT, BindingT]):
         self,
         step: Step,
         lowering: Lowering,
-        load: Callable[[lir.Program], CodeT],
-        attach: Callable[[Step, lir.Program, CodeT, RowSet], BindingT],
+        load: Callable[[Draft], CodeT],
+        attach: Callable[[Draft, CodeT, RowSet], BindingT],
     ) -> None:
         """A kernel of which nothing is compiled yet.
 
@@ -63,7 +104,7 @@ class KernelCode(Generic[CodeT, BindingT]):
             step: the kernel.
             lowering: how it becomes a program.
             load: compiles a program and loads it.
-            attach: binds it to rows.
+            attach: binds what is loaded to rows.
         """
         self._step = step
         self._lowering = lowering
@@ -71,7 +112,7 @@ class KernelCode(Generic[CodeT, BindingT]):
         self._attach = attach
         self._sources = sources_of(step.kernel)
         self._row_bytes = sum(field.type.size * field.type.dtype.itemsize for field in step.phases.fields)
-        self._compiled: dict[tuple[Launched, lir.Stores, State], tuple[lir.Program, CodeT]] = {}
+        self._compiled: dict[tuple[Launched, lir.Stores, State], tuple[Draft, CodeT]] = {}
         self._bindings: dict[tuple[RowSet, State], BindingT] = {}
 
     def bind(self, rows: RowSet) -> BindingT:
@@ -86,25 +127,27 @@ class KernelCode(Generic[CodeT, BindingT]):
         state = self._sources.state()
         binding = self._bindings.get((rows, state))
         if binding is None:
-            program, code = self._compile(launched_as(rows), self._stores(rows), state)
-            binding = self._bindings[rows, state] = self._attach(self._step, program, code, rows)
+            draft, code = self._compile(launched_as(rows), self._stores(rows), state)
+            binding = self._bindings[rows, state] = self._attach(draft, code, rows)
         return binding
 
     def program(self, rows: RowSet) -> lir.Program:
         """The program for a launch on ``rows`` and the data as they are."""
-        facts = self._sources.facts(self._sources.state())
-        return self._lowering.lower(self._step, facts, launched_as(rows), self._stores(rows))
+        return self._draft(launched_as(rows), self._stores(rows), self._sources.state()).lower()
+
+    def _draft(self, launched: Launched, stores: lir.Stores, state: State) -> Draft:
+        return Draft(self._step, self._lowering, self._sources, state, launched, stores)
 
     def _stores(self, rows: RowSet) -> lir.Stores:
         """Whether caches hold what a launch on ``rows`` goes through, so that the next one may find it there."""
         return lir.Stores.KEPT if rows.size * self._row_bytes < _MOST_CACHED else lir.Stores.STREAMED
 
-    def _compile(self, launched: Launched, stores: lir.Stores, state: State) -> tuple[lir.Program, CodeT]:
+    def _compile(self, launched: Launched, stores: lir.Stores, state: State) -> tuple[Draft, CodeT]:
         found = self._compiled.get((launched, stores, state))
         if found is None:
+            draft = self._draft(launched, stores, state)
             with uncollected():
-                program = self._lowering.lower(self._step, self._sources.facts(state), launched, stores)
-                found = self._compiled[launched, stores, state] = program, self._load(program)
+                found = self._compiled[launched, stores, state] = draft, self._load(draft)
         return found
 
 

@@ -101,8 +101,13 @@ def log_time(kernel: str, stage: str, start: float) -> None:
         logging.getLogger("ebb.compiler").debug("%s: %s took %.2f ms", kernel, stage, milliseconds)
 
 
+def dumps(kernel: str) -> bool:
+    """Whether ``EBB_DUMP`` asks for the stages of the kernel of that name."""
+    asked = os.environ.get("EBB_DUMP", "")
+    return asked == "all" or kernel in asked.split(",")
+
+
 def dump(kernel: str, stage: str, text: Callable[[], str]) -> None:
     """Prints ``text`` to stderr where ``EBB_DUMP`` asks for the stages of the kernel of that name."""
-    asked = os.environ.get("EBB_DUMP", "")
-    if asked == "all" or kernel in asked.split(","):
+    if dumps(kernel):
         print(f"# {kernel} after {stage}\n{text()}\n", file=sys.stderr)

@@ -8,17 +8,18 @@ from pathlib import Path
 
 from ebb.backends.backend import CheckedKernel, How, Operation
 from ebb.backends.cache import ObjectCache, cache_directory
-from ebb.backends.compile import object_code, replay_code, stages_of
+from ebb.backends.compile import replay_code, stages_of
 from ebb.backends.cpu.binding import Binding
 from ebb.backends.cpu.replay import Replay
 from ebb.backends.cpu.tiles import block_starts
 from ebb.backends.executable import CompiledExecutable
-from ebb.backends.kernel_code import Lowering, precision_of
+from ebb.backends.kernel_code import Draft, Lowering, precision_of
+from ebb.backends.known import known_code
 from ebb.backends.target import host
 from ebb.compiler import lir
+from ebb.compiler.interface import Interface
 from ebb.compiler.phases.order import InOrder, why_in_order
 from ebb.compiler.scatter.choose import ANY_ORDER, ATOMICALLY, BLOCK_TOTALS, ROW_AFTER_ROW, Plan, Run
-from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.waves import in_order
 from ebb.records import record
 from ebb.relations.subset import RowSet
@@ -91,7 +92,7 @@ def _replay_code(device: CpuDevice, objects: ObjectCache) -> ReplayCode:
     return device.load_replay(replay_code(host(), objects))
 
 
-class CpuExecutable(CompiledExecutable[CpuCode, Binding]):
+class CpuExecutable(CompiledExecutable[tuple[Interface, CpuCode], Binding]):
     """A kernel on the backend ``cpu``."""
 
     def __init__(self, checked: CheckedKernel, backend: CpuBackend) -> None:
@@ -114,12 +115,13 @@ class CpuExecutable(CompiledExecutable[CpuCode, Binding]):
             case InOrder.SHARED_SUMS:
                 return self._planned(rows, lambda: block_starts(rows))
 
-    def _load(self, program: lir.Program) -> CpuCode:
+    def _load(self, draft: Draft) -> tuple[Interface, CpuCode]:
         backend = self._backend
-        return backend.processor.load(program.name, object_code(program, host(), backend.cache, self.checked.verify))
+        interface, image = known_code(draft, host(), backend.cache, self.checked.verify)
+        return interface, backend.processor.load(draft.name, image)
 
-    def _attach(self, step: Step, program: lir.Program, code: CpuCode, rows: RowSet) -> Binding:
-        return Binding(step.kernel, program, code, self._backend.processor, rows)
+    def _attach(self, draft: Draft, code: tuple[Interface, CpuCode], rows: RowSet) -> Binding:
+        return Binding(draft, *code, self._backend.processor, rows)
 
     def _settle(self, binding: Binding, run: Run) -> None:
         binding.settle(run.waves)

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from ebb.backends.cpu.tiles import tile_boxes
+from ebb.backends.kernel_code import Draft
 from ebb.backends.llvm.layout import layout_of
 from ebb.backends.printing import PrintBuffer
 from ebb.backends.sources import constant_value, index_array, random_word
-from ebb.compiler import kir, lir
+from ebb.compiler import lir
 from ebb.compiler.cost import cost_of
+from ebb.compiler.interface import Interface
 from ebb.compiler.lower import error_at
 from ebb.compiler.scatter.waves import Waves
 from ebb.errors import EbbError
@@ -54,13 +56,14 @@ class Binding:
     """
 
     def __init__(
-        self, kernel: kir.Kernel, program: lir.Program, code: CpuCode, device: CpuDevice, rows: RowSet
-    ) -> None:
-        self._kernel = kernel
-        self._program = program
+        self, draft: Draft, interface: Interface, code: CpuCode, device: CpuDevice, rows: RowSet
+    ) -> None:  # fmt: skip
+        self._draft = draft
+        self._kernel = draft.step.kernel
+        self._interface = interface
         self.code = code
         self._device = device
-        self._layout = layout_of(program)
+        self._layout = layout_of(interface)
         self._block = ArgumentBlock(self._layout.words, device.threads)
         self._rows = rows.size
         self._blocks = self._place_rows(rows)
@@ -79,9 +82,9 @@ class Binding:
         self.random_words: dict[lir.RandomWord, int] = {}
         self._prints: PrintBuffer | None = None
         self._kept: list[Array] = []
-        for slot in program.slots:
+        for slot in interface.slots:
             self._bind_slot(slot, rows)
-        for argument in program.arguments:
+        for argument in interface.arguments:
             self._bind_argument(argument)
 
     def settle(self, waves: Waves | None) -> None:
@@ -161,7 +164,7 @@ class Binding:
     def take_failure(self) -> EbbError:
         """The error of the row that failed first in the launch that has just failed; the records are cleared."""
         site, position, payload = self._block.take_failure()
-        return error_at(self._program.sites[site], self._kernel, position, payload)
+        return error_at(self._draft.lower().sites[site], self._kernel, position, payload)
 
     def forget_failures(self) -> None:
         """Clears the records of rows that have failed."""
@@ -185,8 +188,10 @@ class Binding:
     def _place_rows(self, rows: RowSet) -> int:
         """Puts the rows into the argument block and returns the number of blocks."""
         words = self._block.words
-        if self._program.space is lir.Space.BOX:
-            self._tiles = tile_boxes(rows.boxes or (), _row_bytes(self._program))
+        if self._interface.space is lir.Space.BOX:
+            # Rows that may fail run in their order.
+            ahead = 0 if self._interface.can_fail else self._interface.ahead_bytes
+            self._tiles = tile_boxes(rows.boxes or (), ahead)
             words[BOXES] = self._tiles.ctypes.data
             blocks = len(self._tiles)
         else:
@@ -231,7 +236,7 @@ class Binding:
             case lir.Partials(_, sum_):
                 self._keep(word, (self._blocks * sum_.size,), slot.type)
             case lir.PrintRecords():
-                self._prints = PrintBuffer(self._kernel, self._program)
+                self._prints = PrintBuffer(self._kernel, self._draft.lower())
                 self._block.words[word] = self._prints.address
             case index:
                 self._sources.append((word, lambda: index_array(index, rows)))
@@ -259,11 +264,3 @@ class Binding:
                     self._numbers.append((view, place, uniform))
             case constant:
                 self._block.words[word] = constant_value(constant, self._blocks)
-
-
-def _row_bytes(program: lir.Program) -> int:
-    """What a row reads of those of other lines, if its rows may run in any order."""
-    streaming = program.streams
-    if streaming is None or program.sites:
-        return 0
-    return sum(ahead.size * ahead.slot.type.bits // 8 for ahead in streaming.ahead)

@@ -11,12 +11,11 @@ from ebb.backends.compile import needs, object_code, stages_of
 from ebb.backends.devices.binding import DeviceBinding
 from ebb.backends.devices.failures import FailureRecords
 from ebb.backends.executable import CompiledExecutable
-from ebb.backends.kernel_code import Lowering, precision_of
+from ebb.backends.kernel_code import Draft, Lowering, precision_of
 from ebb.backends.target import Target
 from ebb.compiler import lir
 from ebb.compiler.phases.order import InOrder, shares_sums, why_in_order
 from ebb.compiler.scatter.choose import ROW_AFTER_ROW, Plan, Run
-from ebb.compiler.scatter.step import Step
 from ebb.errors import BackendError
 from ebb.relations.subset import RowSet
 from ebb.runtime.device import Device, Entry, Feature
@@ -75,7 +74,7 @@ class DeviceBackend:
         del operations
 
 
-class DeviceExecutable(CompiledExecutable[tuple[Entry, ...], DeviceBinding]):
+class DeviceExecutable(CompiledExecutable[tuple[lir.Program, tuple[Entry, ...]], DeviceBinding]):
     """A kernel on a device."""
 
     def __init__(self, checked: CheckedKernel, backend: DeviceBackend) -> None:
@@ -96,16 +95,16 @@ class DeviceExecutable(CompiledExecutable[tuple[Entry, ...], DeviceBinding]):
             return Plan((Run(self.step, rows, None),), ROW_AFTER_ROW, order, ())
         return self._planned(rows, None)
 
-    def _load(self, program: lir.Program) -> tuple[Entry, ...]:
-        backend = self._backend
+    def _load(self, draft: Draft) -> tuple[lir.Program, tuple[Entry, ...]]:
+        backend, program = self._backend, draft.lower()
         lacking = needs(program) & backend.device.lacks
         if lacking:
             raise BackendError(_lacks(backend.device, program.name, lacking))
         image = object_code(program, backend.target, backend.cache, self.checked.verify)
-        return backend.device.load(program.name, image, program.entries)
+        return program, backend.device.load(program.name, image, program.entries)
 
-    def _attach(self, step: Step, program: lir.Program, code: tuple[Entry, ...], rows: RowSet) -> DeviceBinding:
-        return DeviceBinding(step, program, code, self._backend.device, self._backend.failures, rows)
+    def _attach(self, draft: Draft, code: tuple[lir.Program, tuple[Entry, ...]], rows: RowSet) -> DeviceBinding:
+        return DeviceBinding(draft.step, *code, self._backend.device, self._backend.failures, rows)
 
     def _settle(self, binding: DeviceBinding, run: Run) -> None:
         del run  # there are no waves on devices

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ebb.compiler import lir
+from ebb.compiler.interface import Interface
 from ebb.records import record
 from ebb.runtime.cpu import HEADER_WORDS
 
@@ -16,7 +17,7 @@ class BlockLayout:
     words: int
 
 
-def layout_of(program: lir.Program) -> BlockLayout:
+def layout_of(program: lir.Program | Interface) -> BlockLayout:
     """The layout of the argument block of ``program``."""
     arguments = HEADER_WORDS + len(program.slots)
     return BlockLayout(slots=HEADER_WORDS, arguments=arguments, words=arguments + len(program.arguments))
