@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import software
-from outputs import why_unwritable
+from outputs import replacing, why_unwritable
 
 ABSORBED = np.array([(0.15, 0.75, 1.6), (1.5, 0.45, 0.12), (0.25, 1.6, 0.75)])
 """How much each of the three inks takes from red, green and blue: saffron, a blue, and magenta."""
@@ -145,4 +145,5 @@ class Film:
             palette = Image.fromarray(sample).quantize(255, Image.Quantize.MEDIANCUT)
             frames = [frame.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames]
         duration = 1000 / self.per_second
-        frames[0].save(self.animated, save_all=True, append_images=frames[1:], duration=duration, loop=0)
+        with replacing(self.animated) as part:
+            frames[0].save(part, save_all=True, append_images=frames[1:], duration=duration, loop=0)

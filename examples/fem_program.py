@@ -19,7 +19,7 @@ import ebb
 from bodies import SURFACES, load_solid
 from ebb.domains import TetMesh, TriMesh
 from fem import Damping, Law, Material, SoftBody, Step, StepError, retreat
-from outputs import save_arrays, why_unwritable
+from outputs import save_arrays, save_text, why_unwritable
 from pictures import CLAY, Surface, save_strip
 
 MESHES = (".vtu", ".vtk", ".veg")
@@ -191,7 +191,7 @@ class Record:
             if path.suffix == ".png":
                 console.print(f"drawn by {save_picture(path, self)}", markup=False)
             elif path.suffix == ".pvd":
-                path.write_text(collection(path.stem, self.written), encoding="utf-8")
+                save_text(path, collection(path.stem, self.written))
             else:
                 save_solid(path, self.body)
         if dump is not None:

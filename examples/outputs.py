@@ -1,8 +1,10 @@
-"""Files that the programs write: whether they can be, asked before a long run, and arrays, whole or not at all."""
+"""Files that the programs write: whether they can be, asked before a long run, and writing them whole or not at all."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
@@ -24,10 +26,25 @@ def why_unwritable(path: Path) -> str | None:
         return f"nothing can be written into {str(path.parent)!r}: {error.strerror}"
 
 
-def save_arrays(path: Path, **arrays: Any) -> None:
-    """Write an archive of NumPy's. What was at ``path`` stays until all of the new file is there."""
+@contextmanager
+def replacing(path: Path) -> Generator[Path, None, None]:
+    """Gives a place to write a file to. Once all of it is there, it goes to ``path``, where until then the old one stays.
+
+    If an error leaves the block, the old one stays for good.
+    """
     with TemporaryDirectory(prefix=".ebb-", dir=path.parent) as folder:
         part = Path(folder, path.name)
-        with part.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
+        yield part
         os.replace(part, path)
+
+
+def save_text(path: Path, text: str) -> None:
+    """Write a text, in UTF-8."""
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def save_arrays(path: Path, **arrays: Any) -> None:
+    """Write an archive of NumPy's."""
+    with replacing(path) as part, part.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)

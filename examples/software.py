@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from outputs import replacing
+
 if TYPE_CHECKING:
     from pictures import Camera, Floor, Surface
 
@@ -130,4 +132,5 @@ def write_png(path: Path, image: np.ndarray) -> None:
     chunks = (
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
     )
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+    with replacing(path) as part:
+        part.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))

@@ -10,7 +10,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 
-from outputs import save_arrays, why_unwritable
+import software
+from animation import Film
+from outputs import replacing, save_arrays, save_text, why_unwritable
 
 
 def test_where_nothing_can_be_written(tmp_path):
@@ -35,3 +37,35 @@ def test_arrays_are_written_whole_or_not_at_all(tmp_path):
     with np.load(path) as saved:
         assert saved["a"].tolist() == [0, 1, 2]
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["series.pvd", "picture.png", "film.gif"])
+def test_texts_and_pictures_are_written_whole_or_not_at_all(tmp_path, monkeypatch, name):
+    def write(value):
+        if name == "series.pvd":
+            save_text(path, "text" if value is not None else "text\udc00")  # of which UTF-8 takes a part only
+        elif name == "picture.png":
+            software.write_png(path, np.full((2, 2, 3), 255.0))
+        else:
+            pytest.importorskip("PIL")
+            with Film(None, path) as film:
+                film.add(np.full((2, 2, 3), 255.0))
+
+    path = tmp_path / name
+    write(1)
+    before = path.read_bytes()
+    assert before
+    if name != "series.pvd":
+        monkeypatch.setattr("outputs.os.replace", lambda *_: (_ for _ in ()).throw(OSError("the disk is full")))
+    with pytest.raises((OSError, UnicodeError)):
+        write(None)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_an_error_in_between_leaves_what_was_there(tmp_path):
+    path = tmp_path / "out"
+    path.write_text("old")
+    with pytest.raises(KeyError), replacing(path) as part:
+        part.write_text("half")
+        raise KeyError
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
