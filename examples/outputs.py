@@ -28,7 +28,7 @@ def why_unwritable(path: Path) -> str | None:
 
 @contextmanager
 def replacing(path: Path) -> Generator[Path, None, None]:
-    """Gives a place to write a file to. Once all of it is there, it goes to ``path``, where until then the old one stays.
+    """Gives a place to write a file to, which goes to ``path`` once it is whole. Until then the old one stays there.
 
     If an error leaves the block, the old one stays for good.
     """
