@@ -16,7 +16,7 @@ from typing import Any, overload
 
 from ebb.backends.backend import ANYWHERE, CheckedKernel, Hints
 from ebb.backends.select import current_backend
-from ebb.compiler import kir, kir_print, kir_walk
+from ebb.compiler import kir, kir_print
 from ebb.compiler.arguments import argument_type, check_argument
 from ebb.compiler.elaborate.elaborate import elaborate
 from ebb.compiler.elaborate.errors import NotAFunction
@@ -287,7 +287,7 @@ class Kernel:
         return Specialisation(
             checked,
             elaborated.guards,
-            indexes=tuple(kir_walk.queried_fields(kernel)),
+            indexes=tuple(f for f, phase in phases.fields.items() if phase.queried),
             used=tuple(phases.fields),
             written=tuple(f for f, phase in phases.fields.items() if phase.changed),
             reaches=collect_reaches(kernel),

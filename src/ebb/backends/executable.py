@@ -8,11 +8,11 @@ from collections.abc import Set as AbstractSet
 from typing import Generic
 
 from ebb.backends.backend import Bound, CheckedKernel, How, Once
-from ebb.backends.compile import check_private_bytes, stage_text, stages_of
+from ebb.backends.compile import MOST_PRIVATE_BYTES, check_private_bytes, stage_text, stages_of
 from ebb.backends.kernel_code import Bindings, BindingT, CodeT, Draft, KernelCode, Lowering, NoRows, step_of
 from ebb.backends.target import Target
 from ebb.compiler.kir_walk import draws
-from ebb.compiler.lower import variable_bytes
+from ebb.compiler.lower import most_variable_bytes, variable_bytes
 from ebb.compiler.scatter.choose import Plan, Planner, Run
 from ebb.compiler.scatter.step import Step
 from ebb.relations.field import Field
@@ -35,7 +35,8 @@ class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
         Raises:
             BackendError: the variables of one row do not fit into the memory of a thread.
         """
-        check_private_bytes(checked.kernel.name, variable_bytes(checked.kernel))
+        if most_variable_bytes(checked.kernel) > MOST_PRIVATE_BYTES:
+            check_private_bytes(checked.kernel.name, variable_bytes(checked.kernel))
         self.checked = checked
         self.step = step_of(checked)
         self._lowering = lowering

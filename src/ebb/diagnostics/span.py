@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from ebb.records import field, record
 
 
@@ -14,9 +16,14 @@ class Source:
 
     def line(self, number: int) -> str:
         """The line of that number, counted from 1, without its end; empty where there is none."""
-        # Only what ends a line for Python: str.splitlines would also split at form feeds and Unicode separators.
-        lines = self.text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        lines = _lines(self.text)
         return lines[number - 1] if 0 < number <= len(lines) else ""
+
+
+@lru_cache(maxsize=64)
+def _lines(text: str) -> list[str]:
+    # Only what ends a line for Python: str.splitlines would also split at form feeds and Unicode separators.
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 @record

@@ -45,9 +45,10 @@ class SourceFunction:
         """Where ``node`` stands. The columns of ``ast`` count UTF-8 bytes, those of spans characters."""
         line, end_line = node.lineno, node.end_lineno or node.lineno
         column, end_column = node.col_offset, node.end_col_offset or node.col_offset
-        if _is_ascii(self.source.text):
-            return Span(self.source, line, column, end_line, end_column, caller)
-        return Span(self.source, line, self._column(line, column), end_line, self._column(end_line, end_column), caller)
+        source = self.source
+        if source.text.isascii():  # Python knows without looking
+            return Span(source, line, column, end_line, end_column, caller)
+        return Span(source, line, self._column(line, column), end_line, self._column(end_line, end_column), caller)
 
     def _column(self, line: int, byte: int) -> int:
         lines = _lines(self.source.text)
@@ -215,11 +216,6 @@ def _indentation(line: str) -> int:
     """The column where ``line`` begins, as Python counts it."""
     blank = line[: len(line) - len(line.lstrip(" \t"))]
     return len(blank.expandtabs(8))
-
-
-@lru_cache(maxsize=64)
-def _is_ascii(text: str) -> bool:
-    return text.isascii()
 
 
 @lru_cache(maxsize=64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ebb.compiler import kir, lir
+from ebb.compiler.kir_walk import statements
 from ebb.compiler.lower.bindings import variables
 from ebb.compiler.lower.context import Context, Launched, value_scalar
 from ebb.compiler.lower.facts import Facts
@@ -85,4 +86,16 @@ def _rows(kernel: kir.Kernel, phases: PhaseTable, updates: lir.Updates, group_si
 
 def variable_bytes(kernel: kir.Kernel) -> int:
     """The size of the locals of ``kernel`` that need memory; ``Program.private_bytes`` is at least that."""
-    return sum(value_scalar(local.type.scalar).bits // 8 * local.type.size for local in variables(kernel))
+    return _bytes(variables(kernel))
+
+
+def most_variable_bytes(kernel: kir.Kernel) -> int:
+    """At least ``variable_bytes``, and sooner known: the size of all locals, whether they need memory or not."""
+    bound = [
+        stmt.local for stmt in statements(kernel.body) if isinstance(stmt, kir.Assign | kir.ForRange | kir.ForQuery)
+    ]
+    return _bytes(dict.fromkeys((kernel.row, *bound)))
+
+
+def _bytes(locals_: Iterable[kir.Local]) -> int:
+    return sum([value_scalar(local.type.scalar).bits // 8 * local.type.size for local in locals_])

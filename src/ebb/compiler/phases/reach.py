@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import operands, statements, subexpressions
+from ebb.compiler.kir_walk import expressions_in, statements, subexpressions
 from ebb.compiler.phases.centered import Centered, find_centered
 from ebb.records import field, record
 from ebb.relations.field import Field
@@ -28,15 +28,11 @@ def collect_reaches(kernel: kir.Kernel) -> tuple[Reach, ...]:
     routes = _routes(kernel)
     found: dict[Field, _Found] = {}
     for stmt in statements(kernel.body):
-        for operand in operands(stmt):
-            for expr in subexpressions(operand):
-                match expr:
-                    case kir.ReadField(used, key):
-                        _use(found.setdefault(used, _Found()), key, centered, routes)
-                    case kir.QuerySize(index):
-                        found.setdefault(index, _Found()).queried = True
-                    case _:
-                        pass
+        for expr in expressions_in(stmt):
+            if isinstance(expr, kir.ReadField):
+                _use(found.setdefault(expr.field, _Found()), expr.key, centered, routes)
+            elif isinstance(expr, kir.QuerySize):
+                found.setdefault(expr.index, _Found()).queried = True
         match stmt:
             case kir.WriteField(used, key) | kir.ReduceField(used, key):
                 place = found.setdefault(used, _Found())
@@ -65,29 +61,46 @@ def _use(found: _Found, key: kir.Expr, centered: Centered, routes: dict[int, dic
 
 def _routes(kernel: kir.Kernel) -> dict[int, dict[Field, None]]:
     """The key fields that the value of each local may have come through, by ``uid``, whatever the branches."""
-    routes: dict[int, dict[Field, None]] = {}
+    bound: list[tuple[int, list[Field | int]]] = []
+    for stmt in statements(kernel.body):
+        match stmt:
+            case kir.Assign(local, _, value):
+                bound.append((local.uid, _looked_at(value)))
+            case kir.ForQuery(local, index, key):
+                bound.append((local.uid, [index, *_looked_at(key)]))
+            case _:
+                pass
+    routes: dict[int, dict[Field, None]] = {uid: {} for uid, _ in bound}
     while True:
         before = sum(map(len, routes.values()))
-        for stmt in statements(kernel.body):
-            match stmt:
-                case kir.Assign(local, _, value):
-                    routes.setdefault(local.uid, {}).update(_through(value, routes))
-                case kir.ForQuery(local, index, key):
-                    routes.setdefault(local.uid, {}).update({index: None, **_through(key, routes)})
-                case _:
-                    pass
+        for uid, parts in bound:
+            routes[uid].update(_followed(parts, routes))
         if sum(map(len, routes.values())) == before:
             return routes
 
 
 def _through(value: kir.Expr, routes: dict[int, dict[Field, None]]) -> dict[Field, None]:
     """The key fields that ``value`` may have come through. Numbers come through none: only keys lead to rows."""
-    found: dict[Field, None] = {}
+    return _followed(_looked_at(value), routes)
+
+
+def _looked_at(value: kir.Expr) -> list[Field | int]:
+    """The key fields that ``value`` reads, and the locals, by ``uid``."""
+    found: list[Field | int] = []
     for part in subexpressions(value):
         if isinstance(part, kir.ReadLocal):
-            through = routes.get(part.local.uid)
-            if through:
-                found.update(through)
-        elif isinstance(part, kir.ReadField) and part.field.target is not None:
-            found[part.field] = None
+            found.append(part.local.uid)
+        elif isinstance(part, kir.ReadField) and part.field.holds_keys:
+            found.append(part.field)
+    return found
+
+
+def _followed(parts: list[Field | int], routes: dict[int, dict[Field, None]]) -> dict[Field, None]:
+    """The key fields among ``parts`` and those that its locals may have come through."""
+    found: dict[Field, None] = {}
+    for part in parts:
+        if isinstance(part, int):
+            found.update(routes.get(part, {}))
+        else:
+            found[part] = None
     return found

@@ -6,7 +6,7 @@ from itertools import product
 from typing import TypeAlias
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import operands, subexpressions
+from ebb.compiler.kir_walk import expressions_in
 from ebb.compiler.phases.table import PhaseKind, PhaseTable
 from ebb.relations.field import Field
 
@@ -69,10 +69,9 @@ class _Walk:
         return done
 
     def _look_at_operands(self, stmt: kir.Stmt, done: _Components) -> None:
-        for operand in operands(stmt):
-            for expr in subexpressions(operand):
-                if isinstance(expr, kir.ReadField):
-                    self._look(expr.field, done)
+        for expr in expressions_in(stmt):
+            if isinstance(expr, kir.ReadField):
+                self._look(expr.field, done)
 
     def _look(self, field: Field, done: _Components) -> None:
         if field in self._unread and not _is_whole(field, done):

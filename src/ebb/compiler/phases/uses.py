@@ -6,7 +6,7 @@ from enum import Enum
 from typing import TypeVar
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import operands, statements, subexpressions
+from ebb.compiler.kir_walk import expressions_in, statements
 from ebb.compiler.phases.centered import Centered
 from ebb.diagnostics.span import Span
 from ebb.records import record
@@ -63,10 +63,9 @@ def collect_uses(kernel: kir.Kernel, centered: Centered) -> Uses:
     """Every use of a field or global in ``kernel``, whatever the branches."""
     uses = Uses({}, {})
     for stmt in statements(kernel.body):
-        for operand in operands(stmt):
-            for expr in subexpressions(operand):
-                if isinstance(expr, _USING):
-                    _collect_expr(expr, centered, uses)
+        for expr in expressions_in(stmt):
+            if isinstance(expr, _USING):
+                _collect_expr(expr, centered, uses)
         _collect_stmt(stmt, centered, uses)
     return uses
 
