@@ -46,14 +46,16 @@ DENSITY = 1.0  # of the gas at the start
 
 # The gas is ideal, with gamma = 5/3: p = (gamma - 1) rho e.
 GAS = 2 / 3
-SMALLEST_ENERGY, SMALLEST_PRESSURE = -1e15, 0.0
-SMALLEST_VOLUME, LARGEST_VOLUME = 1e-9, 1e9  # relative volumes to which the equation of state is held
+# Limits are constants: that they are no NaN saves a comparison wherever the larger of two numbers is taken.
+SMALLEST_ENERGY = ebb.constant(-1e15, ebb.float64)
+SMALLEST_VOLUME, LARGEST_VOLUME = (ebb.constant(limit, ebb.float64) for limit in (1e-9, 1e9))  # of zones, relative
 ENERGY_CUT = PRESSURE_CUT = VISCOSITY_CUT = VELOCITY_CUT = 1e-7  # what is smaller is 0
 VOLUME_CUT = 1e-10  # relative volumes as near to 1 are 1
 
 HOURGLASS = 3.0 * 0.01
 LINEAR, QUADRATIC = 0.5, 2 / 3  # the coefficients of the artificial viscosity
 LARGEST_VISCOSITY = 1e12
+SLOWEST_SOUND = 1e-18 / 3
 COURANT_VISCOSITY = 8 * 2.0  # how much the viscosity counts against the time step
 LARGEST_CHANGE = 0.1  # of a volume in a time step
 LARGEST_STEP = 1e-2
@@ -277,14 +279,18 @@ def find_viscosity(z):
 
 
 @ebb.func
-def pressure(e, v):
-    p = GAS * e / v
-    return max(ebb.select(abs(p) < PRESSURE_CUT or v >= LARGEST_VOLUME, 0.0, p), SMALLEST_PRESSURE)
+def pressure(e, per_volume):
+    p = GAS * per_volume * e
+    return ebb.select(p < PRESSURE_CUT, 0.0, p)  # nor is any pressure below 0
 
 
 @ebb.func
 def speed_of_sound(e, p, v):
-    return ebb.sqrt(max(GAS / DENSITY * (e + p * v), 0.1111111e-36))
+    square = GAS / DENSITY * (e + p * v)
+    sound = SLOWEST_SOUND
+    if not square <= SLOWEST_SOUND * SLOWEST_SOUND:  # most gas is at rest and cold: roots take long
+        sound = ebb.sqrt(square)
+    return sound
 
 
 @ebb.func
@@ -298,17 +304,18 @@ def evaluate_gas(z):
     v = ebb.clamp(z.new_vol, SMALLEST_VOLUME, LARGEST_VOLUME)
     change = z.new_vol - z.vol
     half_v = ebb.select(v <= SMALLEST_VOLUME, v, v - 0.5 * change)
+    per_half, per_v = 1 / half_v, ebb.select(v >= LARGEST_VOLUME, 0.0, 1 / v)
     old = ebb.select(v >= LARGEST_VOLUME, 0.0, z.p) + z.q
     shrinks = ebb.select(change > 0, 0.0, 1.0)
 
     e = max(z.e - 0.5 * change * old, SMALLEST_ENERGY)
-    half_p = pressure(e, half_v)
+    half_p = pressure(e, per_half)
     half = half_p + shrinks * (speed_of_sound(e, half_p, half_v) * z.linear_q + z.quadratic_q)
     e = held_energy(e + 0.5 * change * (3 * old - 4 * half))
-    p = pressure(e, v)
+    p = pressure(e, per_v)
     q = shrinks * (speed_of_sound(e, p, v) * z.linear_q + z.quadratic_q)
     e = held_energy(e - 1 / 6 * change * (7 * old - 8 * half + p + q))
-    p = pressure(e, v)
+    p = pressure(e, per_v)
     sound = speed_of_sound(e, p, v)
     q = shrinks * (sound * z.linear_q + z.quadratic_q)
     z.new_e = e
@@ -490,14 +497,13 @@ class Sedov:
         move_nodes(nodes)
 
         find_kinematics(zones)
+        find_viscosity(zones)  # like the limits of the step, no matter of the gas: regions would say the same
         for rows, times in self._regions:
-            find_viscosity(rows)
             for _ in range(times):
                 evaluate_gas(rows)
         for name in ("e", "p", "q"):
             zones.swap(name, f"new_{name}")
-        for rows, _ in self._regions:
-            limit_step(rows)
+        limit_step(zones)
 
     @property
     def cycle(self) -> int:

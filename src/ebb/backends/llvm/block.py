@@ -17,6 +17,7 @@ from ebb.backends.llvm.lines import emit_line, emit_streaming, streams
 from ebb.backends.llvm.rare import emit_rare, plan_rare
 from ebb.backends.llvm.row_plan import RowPlan, plan_rows, plan_runs
 from ebb.backends.llvm.row_runs import emit_runs
+from ebb.backends.llvm.row_skips import leaves_out
 from ebb.backends.llvm.row_strips import emit_row_strips
 from ebb.backends.llvm.statements import AS_IT_IS, NO_VECTORS, StatementEmitter
 from ebb.backends.llvm.strides import is_unit
@@ -124,8 +125,10 @@ class _BlockEmitter(StatementEmitter):
 
     def strips_of(self, loop: lir.RowLoop) -> RowPlan | None:
         """How the rows run in strips, where the target is for them and they are fit."""
-        if self.module.hooks.strips is not Strips.MASKED or is_unit(loop.body, loop.index[-1]):
+        if self.module.hooks.strips is not Strips.MASKED:
             return None
+        if is_unit(loop.body, loop.index[-1]) and not leaves_out(loop):
+            return None  # LLVM does it as well
         return plan_rows(loop, self.module.hooks.vector_math)
 
     def runs_of(self, loop: lir.RowLoop) -> tuple[lir.RowLoop, RowPlan] | None:

@@ -6,6 +6,9 @@ four elements each, and transposed. What changes other rows is transposed back.
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
+
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.lane_ops import MASK, LaneWriter, identity, suffix, wide
 from ebb.backends.llvm.lanes import Emitter
@@ -75,6 +78,14 @@ class RowMemory:
             active: the same as a vector.
         """
         self.predicate, self.bound, self.active = predicate, bound, active
+
+    @contextmanager
+    def apart(self) -> Generator[None, None, None]:
+        """What is loaded within the ``with`` statement is not to be had behind it: not every way leads through it."""
+        narrow, columns, parts = dict(self.narrow), dict(self.columns), dict(self.parts)
+        with self.w.apart():
+            yield
+        self.narrow, self.columns, self.parts = narrow, columns, parts
 
     def finish(self) -> None:
         """Writes what has been stored in part of a row."""

@@ -11,6 +11,7 @@ from collections import Counter
 from enum import Enum
 
 from ebb.backends.llvm.fit import Change, Unfit, change_of, demand, demand_lanes, is_failure
+from ebb.backends.llvm.row_skips import leaves_out
 from ebb.backends.llvm.transpose import LANES
 from ebb.backends.llvm.vector_math import VectorForms
 from ebb.compiler import lir
@@ -120,7 +121,8 @@ class _Planner:
             if isinstance(let.operation, lir.Load) and self.reach_of(let.operation.index) is Reach.OWN
         }
         places = len(own) + len(self.updates)
-        return work >= LANES and (places > 0 or self.checks > 0) and work >= LEAST_WORK * places / 8
+        gains = places > 0 or self.checks > 0 or leaves_out(self.loop)
+        return work >= LANES and gains and work >= LEAST_WORK * places / 8
 
     # ---- How places are reached ----
 

@@ -17,6 +17,7 @@ from ebb.backends.llvm.lane_ops import LaneWriter, identity, wide, wide_type
 from ebb.backends.llvm.lanes import Emitter, Flags
 from ebb.backends.llvm.row_memory import NUMBERS_64, RowMemory
 from ebb.backends.llvm.row_plan import RowPlan
+from ebb.backends.llvm.row_skips import assigned, is_left_out
 from ebb.backends.llvm.row_values import Held, Lanes, Place, Same
 from ebb.backends.llvm.transpose import LANES
 from ebb.compiler import lir
@@ -166,8 +167,30 @@ class RowStrips:
         for side, body in ((holds, then), (self.v.inverted(holds) if orelse else "", orelse)):
             if body:
                 self.mask, self.nested = self.v.both(around[0], side), True
-                self.body(body)
+                if is_left_out(body):
+                    self.unless_nobody(body)
+                else:
+                    self.body(body)
         self.mask, self.nested = around
+
+    def unless_nobody(self, body: lir.Body) -> None:
+        """A side of a condition, if some lane takes it."""
+        before = {(var, k): self.vector(self.private[var.number, k], var.type) for var, k in assigned(body)}
+        w, some = self.w, self.v.any(self.mask)
+        taken, joined, skipped = w.fresh("taken"), w.fresh("joined"), w.label
+        # Likely not, or LLVM would rather compute it for nobody.
+        likely = w.module.note('!{{!"branch_weights", i32 1, i32 2000}}')
+        w.do(f"br i1 {some}, label %{taken}, label %{joined}, !prof {likely}")
+        w.start(taken)
+        with self.memory.apart():
+            self.body(body)
+            after = {(var, k): self.vector(self.private[var.number, k], var.type) for var, k in before}
+        last = w.label
+        w.branch(joined)
+        w.start(joined)
+        for (var, k), old in before.items():
+            t, new = wide_type(var.type), after[var, k]
+            self.private[var.number, k] = Lanes(w.emit(f"phi {t} [ {old}, %{skipped} ], [ {new}, %{last} ]"))
 
     def leave_on_failure(self, stmt: lir.If) -> None:
         """To the plain loop if some row fails that has not been done."""

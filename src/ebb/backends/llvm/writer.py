@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
+
 from ebb.backends.llvm.hooks import Hooks
 
 VECTORS = "!ebb.vectors"
@@ -74,6 +77,13 @@ class FunctionWriter:
     def forget(self) -> None:
         """Ends ``remember``."""
         self._known = None
+
+    @contextmanager
+    def apart(self) -> Generator[None, None, None]:
+        """What is computed within the ``with`` statement is not to be had behind it: not every way leads through it."""
+        known = None if self._known is None else dict(self._known)
+        yield
+        self._known = known
 
     def do(self, instruction: str) -> None:
         """Appends an instruction without result."""
