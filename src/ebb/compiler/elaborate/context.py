@@ -101,7 +101,8 @@ class Context:
         for node in nodes:
             mark = len(self.out)
             value = self.value(node)
-            done = self.keep(mark, done)
+            if done and len(self.out) != mark:
+                done = self.keep(mark, done)
             done.append(value)
         return done
 

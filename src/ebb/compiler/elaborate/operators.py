@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 from ebb.compiler import kir
 from ebb.compiler.elaborate.context import Context
@@ -84,10 +84,14 @@ _REJECTED_COMPARE: Mapping[type[ast.cmpop], tuple[str, str]] = {
 
 # ---- Arithmetic ----
 
+_TypesOf: TypeAlias = Callable[[str, Type, Type], OperatorTypes | Mismatch]
+
 
 def binary(ctx: Context, op: str, left: Value, right: Value, span: Span) -> Value:
     """``left op right``: by Python among weak numbers, else in the kernel."""
     types_of = compare_type if op in EQUALITIES or op in ORDERINGS else binary_type
+    if isinstance(left, Typed) and isinstance(right, Typed):  # most are
+        return _typed_binary(ctx, op, left.expr, right.expr, span, types_of)
     a, b = operand(ctx, left), operand(ctx, right)
     if a is None or b is None or shape_of(ctx, a) is None or shape_of(ctx, b) is None:
         return Poison(span)
@@ -97,12 +101,14 @@ def binary(ctx: Context, op: str, left: Value, right: Value, span: Span) -> Valu
     if elementwise is not None:
         return elementwise
     pair = _typed_pair(ctx, a, b)
-    if pair is None:
-        return Poison(span)
-    types = types_of(op, pair[0].type, pair[1].type)
+    return Poison(span) if pair is None else _typed_binary(ctx, op, *pair, span, types_of)
+
+
+def _typed_binary(ctx: Context, op: str, left: kir.Expr, right: kir.Expr, span: Span, types_of: _TypesOf) -> Value:
+    types = types_of(op, left.type, right.type)
     if isinstance(types, Mismatch):
-        return ctx.poison(OperandTypes(span, types, tuple((each.span, each.type) for each in pair)))
-    return Typed(_operation(op, fit(pair[0], types.left), fit(pair[1], types.right), types, span))
+        return ctx.poison(OperandTypes(span, types, tuple((each.span, each.type) for each in (left, right))))
+    return Typed(_operation(op, fit(left, types.left), fit(right, types.right), types, span))
 
 
 def weak_operation(ctx: Context, op: Any, operands: tuple[Weak, ...], span: Span) -> Value:
@@ -140,9 +146,7 @@ def _operation(op: str, left: kir.Expr, right: kir.Expr, types: OperatorTypes, s
     return kir.Binary(op, left, right, types.result, span)
 
 
-def _weak_binary(
-    ctx: Context, op: str, a: Weak, b: Weak, span: Span, types_of: Callable[[str, Type, Type], OperatorTypes | Mismatch]
-) -> Value:
+def _weak_binary(ctx: Context, op: str, a: Weak, b: Weak, span: Span, types_of: _TypesOf) -> Value:
     types = types_of(op, lone_scalar(a), lone_scalar(b))
     if isinstance(types, Mismatch):
         return ctx.poison(OperandTypes(span, types, ((a.span, lone_scalar(a)), (b.span, lone_scalar(b)))))

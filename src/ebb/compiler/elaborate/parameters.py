@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 from collections import ChainMap
 from collections.abc import Mapping
+from functools import lru_cache
+from types import CodeType
 from typing import Any, TypeAlias
 
 from ebb.compiler.elaborate.errors import BadAnnotation, NoRowParameter, UnresolvedAnnotation
@@ -79,12 +81,12 @@ def annotation(source: SourceFunction, parameter: ast.arg) -> Any:
     """
     if parameter.annotation is None:
         return None
-    span = source.span(parameter.annotation)
     try:
         value = source.function.__annotations__.get(parameter.arg)
         value = _evaluated(source, value) if isinstance(value, str) else value
     except Exception as error:  # whatever the user's own expression raises
         reason = f"{type(error).__name__}: {error}"
+        span = source.span(parameter.annotation)
         raise KernelTypeError(UnresolvedAnnotation(span, source.name, parameter.arg, reason)) from error
     return None if value is Any else value  # Any is how typed programs write a bare parameter
 
@@ -126,9 +128,14 @@ def name_span(source: SourceFunction) -> Any:
 
 def _evaluated(source: SourceFunction, text: str) -> Any:
     filled = {name: cell.cell_contents for name, cell in source.cells.items() if _is_set(cell)}
-    value = eval(text, dict(source.namespace), ChainMap[str, Any](filled, dict(source.locals)))
+    value = eval(_code(text), dict(source.namespace), ChainMap[str, Any](filled, dict(source.locals)))
     # Under the future import a quoted annotation is text of a text.
     return _evaluated(source, value) if isinstance(value, str) else value
+
+
+@lru_cache(maxsize=256)
+def _code(text: str) -> CodeType:
+    return compile(text.lstrip(" \t"), "<string>", "eval")
 
 
 def _is_set(cell: Any) -> bool:

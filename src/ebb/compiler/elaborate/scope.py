@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 from ebb.compiler import kir
@@ -145,6 +146,7 @@ def parameter_names(node: ast.FunctionDef) -> list[str]:
     return [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
 
 
+@lru_cache(maxsize=256)  # functions are inlined again and again
 def find_stores(node: ast.FunctionDef) -> Stores:
     """How the body of a function assigns names; parts of a local (``x[0] = e``) count as the local."""
     stores = Stores()

@@ -19,18 +19,18 @@ def fold_constants(kernel: kir.Kernel) -> kir.Kernel:
         return replace(kernel, body=map_body(kernel.body, _fold))
 
 
-_FOLDED = (kir.Unary, kir.Binary, kir.Compare, kir.Cast, kir.Splat, kir.Logic, kir.Choose, kir.Build, kir.Component)
-
-
 def _fold(expr: kir.Expr) -> kir.Expr:
     folded = map_children(expr, _fold)
-    if not isinstance(folded, _FOLDED):
-        return folded
     match folded:
+        # Before all others: most expressions are one of these, and no operator at all or not one of constants.
+        case kir.ReadLocal() | kir.ReadField() | kir.Const():
+            return folded
+        case kir.Binary(op, left, right):
+            if isinstance(left, kir.Const) and isinstance(right, kir.Const):
+                return _const(arithmetic.BINARY[op](_numpy(left), _numpy(right)), folded)
+            return folded
         case kir.Unary(op, kir.Const() as operand):
             return _const(arithmetic.UNARY[op](_numpy(operand)), folded)
-        case kir.Binary(op, kir.Const() as left, kir.Const() as right):
-            return _const(arithmetic.BINARY[op](_numpy(left), _numpy(right)), folded)
         case kir.Compare(op, kir.Const() as left, kir.Const() as right):
             return _const(arithmetic.COMPARE[op](_numpy(left), _numpy(right)), folded)
         case kir.Cast(kir.Const() as operand) | kir.Splat(kir.Const() as operand):
