@@ -19,11 +19,9 @@ The same kernels run on two meshes: one with keys of corners and neighbours, as 
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,9 +33,11 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 import ebb
 from ebb.domains import HexGrid, HexMesh
+from lulesh_regions import draw_regions, evaluations
 from outputs import save_arrays, why_unwritable
 from pictures import save_strip
 from sedov_picture import Moment, skin
+from whole_steps import run_whole
 
 SIDE = 1.125  # the length of the octant
 ORIGIN_ENERGY = 3.948746e7 / 45**3  # in the zone at the origin, times the number of zones
@@ -370,58 +370,6 @@ def start_zone(z):
         z.corner(i).mass += DENSITY * z.initial_volume / 8
 
 
-# ---- Regions ----
-
-
-def random_numbers() -> Iterator[int]:
-    """The numbers of ``rand()`` of the GNU C library after ``srand(0)``, by which the reference draws its regions.
-
-    Each is the sum of those 3 and 31 before it (Knuth, "The Art of Computer Programming" 2, section 3.2.2).
-    """
-    last = deque([1], maxlen=34)
-    for _ in range(30):
-        last.append(16807 * last[-1] % (2**31 - 1))
-    last.extend(list(last)[:3])
-    for count in itertools.count():
-        last.append((last[-3] + last[-31]) % 2**32)
-        if count >= 310:
-            yield last[-1] >> 1
-
-
-RUNS = ((773, 1, 15), (937, 16, 16), (970, 32, 32), (974, 64, 64), (978, 128, 128), (981, 256, 256), (1000, 512, 1537))
-"""The lengths of runs of zones in one region: up to how many of 1000, the shortest, and how many lengths."""
-
-
-def draw_regions(zones: int, regions: int, balance: int) -> np.ndarray:
-    """The region of each zone, as the reference draws them: runs of random lengths, of another region than the last.
-
-    Region r is drawn in proportion to (r + 1) ** balance.
-    """
-    region_of = np.zeros(zones, dtype=np.int64)
-    if regions == 1:
-        return region_of
-    draw = random_numbers()
-    ends = np.cumsum([int((r + 1) ** balance) for r in range(regions)])
-    start, last = 0, -1
-    while start < zones:
-        region = last
-        while region == last:
-            region = int(np.searchsorted(ends, next(draw) % int(ends[-1]), side="right"))
-        chance = next(draw) % 1000
-        shortest, lengths = next((low, count) for limit, low, count in RUNS if chance < limit)
-        stop = start + shortest + next(draw) % lengths
-        region_of[start:stop] = region
-        start, last = stop, region
-    return region_of
-
-
-def evaluations(region: int, regions: int, cost: int) -> int:
-    """How often a region evaluates its gas: half of all once, others 1 + cost times, one in twenty ten times that."""
-    if region < regions // 2:
-        return 1
-    return (1 if region < regions - (regions + 15) // 20 else 10) * (1 + cost)
-
-
 # ---- The simulation ----
 
 
@@ -483,6 +431,13 @@ class Sedov:
         self._holds = [(hold_in_plane(axis), getattr(nodes, plane)) for axis, plane in enumerate(planes)]
         with ebb.capture() as self._cycle:
             self._record()
+        self._lasting: tuple[Any, ...] = ()
+
+    def keep_whole(self) -> None:
+        """See to it that after an error all is as it was after the last whole cycle, for the memory of that."""
+        zones, nodes, clock = self.zones, self.nodes, self._clock
+        state = zones.e, zones.p, zones.q, zones.vol, zones.sound_speed, nodes.pos, nodes.vel, nodes.force
+        self._lasting = (*state, clock.time, clock.dt, clock.cycle, courant, hydro)
 
     def _record(self) -> None:
         """One cycle."""
@@ -533,9 +488,9 @@ class Sedov:
         while cycles > 0 and self.time < STOP_TIME:
             batch = min(cycles, self._cycles_for_sure())
             try:
-                self._cycle.run(batch)
+                run_whole(self._cycle, batch, self._lasting)
             except ebb.KernelAssertionError as error:
-                raise DomainError(f"cycle {self.cycle}: {error}") from error
+                raise DomainError(f"cycle {self.cycle + bool(self._lasting)}: {error}") from error
             cycles -= batch
             progress(self.time)
 
@@ -662,6 +617,8 @@ def main(
         started = time.perf_counter()
         blast = Sedov(size, regions, balance, cost, mesh)
         console.print(f"{size}^3 zones in {regions} region{'s' * (regions > 1)}, mesh {mesh}, backend {backend}")
+        if dump_to is not None:
+            blast.keep_whole()
         console.print(f"made ready in {time.perf_counter() - started:.2f} s")
         elapsed, moments = watch(blast, iterations, save is not None, console)
         console.print(summary(blast, elapsed))

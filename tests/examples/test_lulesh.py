@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import ebb
 import lulesh
+import lulesh_regions
 from backends import require
 from lulesh_model import Model
 
@@ -144,17 +145,17 @@ def test_numbers_are_those_of_the_c_library():
         pytest.skip("no GNU C library here")
     library.srand(0)
     expected = [library.rand() for _ in range(2000)]
-    assert list(itertools.islice(lulesh.random_numbers(), 2000)) == expected
+    assert list(itertools.islice(lulesh_regions.random_numbers(), 2000)) == expected
 
 
 def test_regions_have_all_zones():
-    region_of = lulesh.draw_regions(20**3, 11, 1)
+    region_of = lulesh_regions.draw_regions(20**3, 11, 1)
     sizes = np.bincount(region_of, minlength=11)
     assert sizes.sum() == 20**3 and (sizes > 0).all()
-    assert not lulesh.draw_regions(100, 1, 1).any()
-    late = np.bincount(lulesh.draw_regions(20**3, 4, 3), minlength=4)
+    assert not lulesh_regions.draw_regions(100, 1, 1).any()
+    late = np.bincount(lulesh_regions.draw_regions(20**3, 4, 3), minlength=4)
     assert late[3] > late[0]
-    assert Counter(lulesh.evaluations(region, 11, 1) for region in range(11)) == {1: 5, 2: 5, 20: 1}
+    assert Counter(lulesh_regions.evaluations(region, 11, 1) for region in range(11)) == {1: 5, 2: 5, 20: 1}
 
 
 # ---- What goes wrong ----
@@ -182,6 +183,38 @@ def test_domain_aborts(backend, field, value, text):
         assert "row" in str(caught.value)
         if field == "q":
             assert "5" in str(caught.value).split("row", 1)[1][:20]
+
+
+@pytest.mark.parametrize("backend", ["cpu", "opencl"])
+@pytest.mark.parametrize("mesh", MESHES)
+def test_after_an_abort_all_is_as_after_the_last_whole_cycle(backend, mesh, monkeypatch):
+    require(backend)
+    with ebb.backend(backend):
+        plain, largest = lulesh.Sedov(4, mesh=mesh), []
+        for _ in range(30):
+            plain.run(1)
+            largest.append(float(plain.zones.q.to_numpy().max()))
+        last = int(np.argmax(largest)) + 1  # the viscosity is looked at in the cycle after this one
+        assert last > 9
+        monkeypatch.setattr(lulesh, "LARGEST_VISCOSITY", largest[last - 1] * (1 - 1e-9))
+        blast = after(9, 4, mesh=mesh)
+        blast.keep_whole()
+        with pytest.raises(lulesh.DomainError, match=rf"cycle {last + 1}: (.|\n)*artificial viscosity"):
+            blast.run(40)
+        assert blast.cycle == last
+        expected, found = state(after(last, 4, mesh=mesh)), state(blast)
+        for name, values in expected.items():
+            np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+        # A zone is turned inside out, which is found after the nodes have moved.
+        velocity = blast.nodes.vel.to_numpy()
+        velocity.reshape(5, 5, 5, 3)[2, 2, 2] = 1e9
+        blast.nodes.vel.load(velocity)
+        before = state(blast)
+        with pytest.raises(lulesh.DomainError, match=rf"cycle {last + 1}: "):
+            blast.run(5)
+        assert blast.cycle == last and not blast.nodes.force.to_numpy().any()
+        for name, values in state(blast).items():
+            assert (values == before[name]).all(), name
 
 
 def invoke(*words):
