@@ -73,14 +73,14 @@ def _sources() -> str | None:
         return None
     found = [sys.version]
     try:
-        for entry in sorted(_files(_PACKAGE), key=lambda entry: entry.path):
+        for entry in _files(_PACKAGE):
             status = entry.stat()
             if status.st_ctime_ns > _LOADED_NS - _SETTLED_NS:
                 return None
             found.append(f"{entry.path} {status.st_ino} {status.st_size} {status.st_mtime_ns} {status.st_ctime_ns}")
     except OSError:  # the package lies in an archive
         return None
-    return "\n".join(found)
+    return key_of("\n".join(sorted(found)))
 
 
 def _files(folder: str) -> Iterator[os.DirEntry[str]]:
