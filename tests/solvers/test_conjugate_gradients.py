@@ -184,6 +184,20 @@ def test_a_preconditioner_that_is_not_positive_definite_is_reported(precondition
     assert (system.x == 0).all()
 
 
+def test_blocks_of_much_stiffer_directions_stay_positive_definite():
+    """As contact by penalties makes them: an inverse rounded to float32 would not be positive definite."""
+    blocks = symmetric(20, 3, 0.5)
+    normals = np.random.default_rng(3).normal(size=(20, 3))
+    for i, normal in enumerate(normals / np.linalg.norm(normals, axis=1)[:, None]):
+        blocks[i, i] += 1e9 * np.outer(normal, normal)
+    system = System(blocks, np.random.default_rng(4).normal(size=(20, 3)))
+    rows = system.rows
+    result = ConjugateGradients(rows.x, rows.b, system.entries.a, preconditioner="block-jacobi").solve(1e-9)
+    assert result.converged
+    assert result.iterations <= 70
+    np.testing.assert_allclose(system.x, np.linalg.solve(system.dense, system.right), rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.parametrize("where", ["b", "matrix", "overflow"])
 def test_numbers_that_are_not_finite_leave_x_as_it_was(where):
     system = elastic()

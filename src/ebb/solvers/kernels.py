@@ -144,34 +144,69 @@ def preconditioning(
         kernel, apply = _inverted_diagonal(system, system.blocks, stored, faults), _multiplying_by(stored)
         return Preconditioning(apply, apply, prepare=lambda: kernel(system.rows))
     # What a block makes of a residual is kept: to read it takes less than to read the block once more.
-    stored, field = system.work(f"{prefix}_inverses", system.blocks.matrix.type), system.work(f"{prefix}_{conditioned}")
-    invert = _inverted_blocks(system, system.blocks, stored, faults)
-    return Preconditioning(_applying(stored, field), _taken_from(field), prepare=lambda: invert(system.rows))
+    stored, field = system.work(f"{prefix}_factors", _factor_type(system)), system.work(f"{prefix}_{conditioned}")
+    factor = _factored_blocks(system, system.blocks, stored, faults)
+    return Preconditioning(_applying(system, stored, field), _taken_from(field), prepare=lambda: factor(system.rows))
 
 
 def _launch(given: Callable[[str, str], object], source: str, target: str) -> None:
     given(source, target)
 
 
-def _inverted_blocks(system: LinearSystem, blocks: Blocks, stored: str, faults: ebb.Global) -> ebb.Kernel:
+def _factor_type(system: LinearSystem) -> Any:
+    """Of the lower triangle of a block, row by row, in float32.
+
+    The inverse of a block is the product of its factor, transposed, with the factor. So what is stored with few digits
+    is still symmetric and positive definite, and only a little another preconditioner; in an iteration it is a third
+    of the bytes of the inverse in float64, which is what the pass over the residual mostly reads.
+    """
+    extent = system.x.type.shape[0]
+    return ebb.vector(ebb.float32, extent * (extent + 1) // 2)
+
+
+Triangle: TypeAlias = tuple[tuple[int, ...], ...]
+
+
+def _triangle(system: LinearSystem) -> tuple[tuple[int, ...], Triangle, Triangle]:
+    """The rows of a block; for each the columns before the diagonal; and where what is up to it lies in a factor."""
+    rows = tuple(range(system.x.type.shape[0]))
+    places = tuple(tuple(range(i * (i + 1) // 2, (i + 1) * (i + 2) // 2)) for i in rows)
+    return rows, tuple(tuple(range(i)) for i in rows), places
+
+
+def _factored_blocks(system: LinearSystem, blocks: Blocks, stored: str, faults: ebb.Global) -> ebb.Kernel:
     is_free, row, column, matrix = freedom_of(system), blocks.row, blocks.column.name, blocks.matrix.name
-    block, components = blocks.matrix.type, tuple(range(system.x.type.shape[0]))
+    block, unknown, packed = blocks.matrix.type, system.x.type, _factor_type(system)
+    components, below, places = _triangle(system)
 
     @ebb.kernel
-    def invert_blocks(v: Any) -> None:
+    def factor_blocks(v: Any) -> None:
         a = ebb.zeros(block)
         for e in _where(row, v):
             if e[column] == v:
                 a += e[matrix]
-        sound = ebb.det(a) > 0
+        # Of each unit vector what is orthogonal, by the block, to those before it; all of length 1.
+        factor = ebb.zeros(block)
+        packing = ebb.zeros(packed)
+        sound = True
         for i in components:
-            sound = sound and a[i, i] > 0
+            direction = ebb.zeros(unknown)
+            direction[i] = 1
+            for j in below[i]:
+                direction -= ebb.dot(a[i], factor[j]) * factor[j]
+            square = ebb.dot(direction, a @ direction)
+            sound = sound and square > 0
+            direction /= ebb.sqrt(square)
+            factor[i] = direction
+            for j in below[i]:
+                packing[places[i][j]] = ebb.float32(direction[j])
+            packing[places[i][i]] = ebb.float32(direction[i])
         free = is_free(v)
-        v[stored] = ebb.inverse(a) if free else ebb.zeros(block)
+        v[stored] = packing if free else ebb.zeros(packed)
         if free and not sound:
             faults.value += 1
 
-    return invert_blocks
+    return factor_blocks
 
 
 def _inverted_diagonal(system: LinearSystem, blocks: Blocks, stored: str, faults: ebb.Global) -> ebb.Kernel:
@@ -225,10 +260,22 @@ def _multiplying_by(stored: str) -> Function:
     return apply
 
 
-def _applying(stored: str, field: str) -> Function:
+def _applying(system: LinearSystem, stored: str, field: str) -> Function:
+    unknown, number = system.x.type, system.scalar
+    components, below, places = _triangle(system)
+
     @ebb.func
     def apply(v: Any, r: Any) -> Any:
-        z = v[stored] @ r
+        factor = v[stored]
+        z = ebb.zeros(unknown)
+        for i in components:
+            last = number(factor[places[i][i]])
+            length = last * r[i]
+            for j in below[i]:
+                length += number(factor[places[i][j]]) * r[j]
+            for j in below[i]:
+                z[j] += number(factor[places[i][j]]) * length
+            z[i] = last * length
         v[field] = z
         return z
 
