@@ -22,7 +22,7 @@ from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.relations.relation import Relation
-from ebb.types.types import KeyType, MatrixType, ScalarType, VectorType
+from ebb.types.types import Element, KeyType, MatrixType, ScalarType, VectorType
 
 Named: TypeAlias = Field | Relation | Global
 
@@ -156,13 +156,19 @@ def _write_key(writer: _Writer, key: KeyType) -> None:
 
 
 def _write_vector(writer: _Writer, vector: VectorType) -> None:
-    writer.words.append(f"vector {vector.n}")
-    writer.parts(vector.scalar)
+    _write_elements(writer, f"vector {vector.n}", vector.scalar)
 
 
 def _write_matrix(writer: _Writer, matrix: MatrixType) -> None:
-    writer.words.append(f"matrix {matrix.rows} {matrix.cols}")
-    writer.parts(matrix.scalar)
+    _write_elements(writer, f"matrix {matrix.rows} {matrix.cols}", matrix.scalar)
+
+
+def _write_elements(writer: _Writer, shape: str, element: Element) -> None:
+    if isinstance(element, ScalarType):
+        writer.words.append(f"{shape} {element.name}")
+    else:
+        writer.words.append(shape)
+        _write_key(writer, element)
 
 
 def _write_local(writer: _Writer, local: kir.Local | kir.Label) -> None:

@@ -162,14 +162,15 @@ def component_index(name: str, type_: Type) -> int | None:
     return None
 
 
-def attribute_span(ctx: Context, node: ast.Attribute) -> Span:
-    """Where the name after the dot stands."""
-    whole = ctx.span(node)
-    return replace(whole, line=whole.end_line, column=max(whole.end_column - len(node.attr), 0))
+def attribute_span(whole: Span, name: str) -> Span:
+    """Where the ``name`` after the dot stands."""
+    start = max(whole.end_column - len(name), 0)
+    return Span(whole.source, whole.end_line, start, whole.end_line, whole.end_column, whole.caller)
 
 
 def _attribute(ctx: Context, node: ast.Attribute) -> Value:
-    return attribute(ctx, ctx.value(node.value), node.attr, ctx.span(node), attribute_span(ctx, node))
+    base, span = ctx.value(node.value), ctx.span(node)
+    return attribute(ctx, base, node.attr, span, attribute_span(span, node.attr))
 
 
 def _subscript(ctx: Context, node: ast.Subscript) -> Value:

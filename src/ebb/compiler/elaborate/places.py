@@ -153,7 +153,7 @@ def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
     base, span = _opened(ctx, _place_or_value(ctx, node.value)), ctx.span(node)
     key = _as_key(base)
     if key is not None:
-        return _of_key(ctx, key, node.attr, span, attribute_span(ctx, node))
+        return _of_key(ctx, key, node.attr, span, attribute_span(span, node.attr))
     match base:
         case LocalPlace() | FieldPlace() | GlobalPlace():
             index = component_index(node.attr, place_type(base))
@@ -161,11 +161,11 @@ def _attribute(ctx: Context, node: ast.Attribute) -> Place | Value:
                 return replace(base, indices=(*base.indices, kir.Const(index, int32, span)), span=span)
             if isinstance(base, GlobalPlace) and not base.indices and node.attr == "value":
                 return replace(base, span=span)
-            return attribute(ctx, Typed(read(base)), node.attr, span, attribute_span(ctx, node))
+            return attribute(ctx, Typed(read(base)), node.attr, span, attribute_span(span, node.attr))
         case Static(Relation(), _, _):
             return base
         case value:
-            found = attribute(ctx, value, node.attr, span, attribute_span(ctx, node))
+            found = attribute(ctx, value, node.attr, span, attribute_span(span, node.attr))
             if isinstance(found, Static) and isinstance(found.object, Global):
                 return GlobalPlace(found.object, ast.unparse(node), (), span)
             return found

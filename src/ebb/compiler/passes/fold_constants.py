@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import map_body, map_children
+from ebb.compiler.kir_walk import expressions, map_body, map_children
 from ebb.records import replace
 from ebb.types import arithmetic
 from ebb.types.types import Type
@@ -15,20 +16,40 @@ from ebb.types.types import Type
 
 def fold_constants(kernel: kir.Kernel) -> kir.Kernel:
     """``kernel`` with every operator, cast and choice of constants replaced by its value."""
+    # Python has done the arithmetic of literals, so that there is seldom any left.
+    if not any(map(_is_constant, expressions(kernel.body))):
+        return kernel
     with np.errstate(all="ignore"):
         return replace(kernel, body=map_body(kernel.body, _fold))
 
 
+_DECIDING: Mapping[type[kir.Expr], Callable[[Any], tuple[kir.Expr, ...]]] = {
+    kir.Unary: lambda expr: (expr.operand,),
+    kir.Binary: lambda expr: (expr.left, expr.right),
+    kir.Compare: lambda expr: (expr.left, expr.right),
+    kir.Cast: lambda expr: (expr.operand,),
+    kir.Splat: lambda expr: (expr.operand,),
+    kir.Logic: lambda expr: (expr.left,),
+    kir.Choose: lambda expr: (expr.condition,),
+    kir.Build: lambda expr: expr.elements,
+    kir.Component: lambda expr: (expr.operand, *expr.indices),
+}
+"""What of an expression must be constant so that ``_fold`` does without it."""
+
+
+def _is_constant(expr: kir.Expr) -> bool:
+    """Whether ``_fold`` has another expression for ``expr``, whose parts are as they are."""
+    deciding = _DECIDING.get(type(expr))
+    return deciding is not None and all([isinstance(part, kir.Const) for part in deciding(expr)])
+
+
 def _fold(expr: kir.Expr) -> kir.Expr:
     folded = map_children(expr, _fold)
+    if not _is_constant(folded):
+        return folded
     match folded:
-        # Before all others: most expressions are one of these, and no operator at all or not one of constants.
-        case kir.ReadLocal() | kir.ReadField() | kir.Const():
-            return folded
-        case kir.Binary(op, left, right):
-            if isinstance(left, kir.Const) and isinstance(right, kir.Const):
-                return _const(arithmetic.BINARY[op](_numpy(left), _numpy(right)), folded)
-            return folded
+        case kir.Binary(op, kir.Const() as left, kir.Const() as right):
+            return _const(arithmetic.BINARY[op](_numpy(left), _numpy(right)), folded)
         case kir.Unary(op, kir.Const() as operand):
             return _const(arithmetic.UNARY[op](_numpy(operand)), folded)
         case kir.Compare(op, kir.Const() as left, kir.Const() as right):
