@@ -181,6 +181,75 @@ def test_what_neighbors_have_in_common(stores, type_, edge):
     assert streams(share, cells) == (stores == "streamed")
 
 
+BOXES = [
+    ((5, 9, 64), np.s_[1:-1, 1:-1, 1:-1]),
+    ((5, 9, 64), np.s_[1:-1, 1:-1, 16:48]),
+    ((3, 11, 67), np.s_[1:-1, 1:-1, 1:-1]),
+    ((3, 12, 35), np.s_[1:2, 2:-1, 3:-1]),
+    ((3, 40, 9), np.s_[1:-1, 1:-1, 1:-1]),
+    ((3, 40, 5), np.s_[1:-1, 1:-1, 2:3]),
+    ((3, 6, 100), np.s_[1:-1, 1:-1, 60:70]),
+    ((3, 4, 1500), np.s_[1:-1, 1:-1, 1:-1]),
+]
+
+
+@pytest.mark.parametrize("type_", [ebb.float32, ebb.float64])
+@pytest.mark.parametrize(("shape", "box"), BOXES)
+def test_lines_that_follow_one_another(stores, type_, shape, box):
+    """Rows of a box, whose lines have rows between them that are left alone: with sums that cross the ends of lines."""
+    cells = ebb.Relation("cells", shape=shape)
+    x = np.random.default_rng(7).integers(-99, 99, shape).astype(type_.dtype)
+    cells.new_field("x", type_, init=x)
+    for name in "yz":
+        cells.new_field(name, type_, init=-1.0)
+    rows = cells.new_subset("inner", box)
+
+    @cells.member("__call__")
+    def moved(c, i, j, k):
+        return ebb.affine(cells, [[1, 0, 0, i], [0, 1, 0, j], [0, 0, 1, k]], c)
+
+    @cells.member("sides")
+    def sides(c, k):
+        return c(-1, 0, k).x + 2.0 * c(1, 0, k).x - c(0, 1, k).x
+
+    @ebb.kernel
+    def share(c: cells):
+        c.y = c.sides(-1) - 3.0 * c.sides(1) + 2.0 * c.sides(0) + 5.0 * c.x
+        c.z = c(0, -1, 1).x - c(0, -1, -1).x
+
+    share(rows)
+    padded = np.pad(x, 1)
+
+    def at(i, j, k):
+        return padded[tuple(slice(1 + step, 1 + step + n) for step, n in zip((i, j, k), shape, strict=True))]
+
+    def sides_at(k):
+        return at(-1, 0, k) + 2 * at(1, 0, k) - at(0, 1, k)
+
+    mask = np.zeros(shape, dtype=bool)
+    mask[box] = True
+    y = sides_at(-1) - 3 * sides_at(1) + 2 * sides_at(0) + 5 * x
+    np.testing.assert_array_equal(cells.y.to_numpy(), np.where(mask, y, -1))
+    np.testing.assert_array_equal(cells.z.to_numpy(), np.where(mask, at(0, -1, 1) - at(0, -1, -1), -1))
+    assert streams(share, rows) == (stores == "streamed")
+
+
+def test_coordinates_that_are_looked_at_join_no_lines(stores):
+    cells = ebb.Relation("cells", shape=(3, 20, 33))
+    cells.new_field("x", ebb.float32, init=2.0)
+    cells.new_field("y", ebb.float32)
+    rows = cells.new_subset("inner", np.s_[1:-1, 1:-1, 1:-1])
+
+    @ebb.kernel
+    def place(c: cells):
+        c.y = c.x + ebb.float32(ebb.coords(c)[1])
+
+    place(rows)
+    expected = np.zeros(cells.shape)
+    expected[1:-1, 1:-1, 1:-1] = 2.0 + np.arange(1, 19)[:, None]
+    np.testing.assert_array_equal(cells.y.to_numpy(), expected)
+
+
 def test_vectors_along_lines(stores):
     cells = ebb.Relation("cells", shape=(5, 70), periodic=(True, True))
     x = np.random.default_rng(6).integers(-99, 99, (5, 70, 3)).astype(np.float32)

@@ -12,6 +12,7 @@ from ebb.backends.llvm import ops
 from ebb.backends.llvm.ahead import Ahead, emit_ahead, plan_ahead
 from ebb.backends.llvm.entry import BLOCK_FUNCTION, FINISH_FUNCTION, write_entries
 from ebb.backends.llvm.hooks import Strips
+from ebb.backends.llvm.joined import Joined, emit_joined, plan_joined
 from ebb.backends.llvm.lanes import Flags
 from ebb.backends.llvm.lines import emit_line, emit_streaming, streams
 from ebb.backends.llvm.rare import emit_rare, plan_rare
@@ -93,6 +94,7 @@ class _BlockEmitter(StatementEmitter):
     def row_loop(self, stmt: lir.RowLoop) -> None:
         self.ahead = plan_ahead(stmt)
         streaming = streams(stmt)
+        joined = plan_joined(stmt) if streaming else None
         metadata = ""
         if stmt.rows is lir.Rows.INDEPENDENT:
             self.access_group = self.module.note("distinct !{{}}")
@@ -104,7 +106,7 @@ class _BlockEmitter(StatementEmitter):
             metadata = self.loop_notes(*notes)
         elif self.must_not_be_vectors(stmt.body, stmt.index[-1]):
             metadata = self.loop_notes(NO_VECTORS)
-        self.row_nest(stmt, 0, metadata, streaming)
+        self.row_nest(stmt, 0, metadata, joined or streaming)
         self.access_group = None
 
     def vector_math(self, loop: lir.RowLoop) -> bool:
@@ -141,9 +143,12 @@ class _BlockEmitter(StatementEmitter):
         """The first index of a dimension, and the one behind the last."""
         return f"%low{d}", f"%high{d}"
 
-    def row_nest(self, loop: lir.RowLoop, d: int, metadata: str, streaming: bool) -> None:
+    def row_nest(self, loop: lir.RowLoop, d: int, metadata: str, streaming: Joined | bool) -> None:
         """The loops over the dimensions from ``d`` on; the innermost one has the metadata."""
         index = loop.index
+        if isinstance(streaming, Joined) and d == len(index) - streaming.dimensions:
+            emit_joined(self, loop, streaming)
+            return
         if d == len(index) - 1:
             if streaming:
                 emit_streaming(self, loop, metadata)

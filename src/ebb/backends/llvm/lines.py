@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ebb.backends.llvm import ops
-from ebb.backends.llvm.registers import Parts, emit_registers, plan_registers
-from ebb.backends.llvm.stream import STREAM, STREAM_FUNCTION
+from ebb.backends.llvm.registers import Parts, emit_registers, only_streams, plan_registers, put_rows
+from ebb.backends.llvm.stream import emit_stream
 from ebb.backends.llvm.strides import is_even
-from ebb.backends.llvm.turns import FETCHED_AHEAD, Emitter, value_at
+from ebb.backends.llvm.turns import FETCHED_AHEAD, FEW_TURNS, Emitter, choose, least, line_start, most, value_at
 from ebb.compiler import lir
 
 STRETCH = 256
@@ -53,23 +53,20 @@ def emit_line(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     e.w.branch_if(e.w.emit(f"icmp ult i64 {number}, 3"), turn, done)
     e.w.start(turn)
     is_first, inner = (e.w.emit(f"icmp eq i64 {number}, {k}") for k in (0, 1))
-    start = _choose(e, is_first, low, _choose(e, inner, first, last))
-    stop = _choose(e, is_first, first, _choose(e, inner, last, high))
+    start = choose(e, is_first, low, choose(e, inner, first, last))
+    stop = choose(e, is_first, first, choose(e, inner, last, high))
     near = e.w.fresh("near")
     e.w.branch_if(inner, part, near)
     e.w.start(part)
     e.count(loop.index[-1], start, stop, loop.inside.body, metadata)
     e.w.branch(latch)
     e.w.start(near)
-    e.count(loop.index[-1], start, stop, loop.body, e.loop_notes(*_FEW_TURNS))
+    e.count(loop.index[-1], start, stop, loop.body, e.loop_notes(*FEW_TURNS))
     e.w.branch(latch)
     e.w.start(latch)
     e.w.do(f"{following} = add nuw i64 {number}, 1")
     e.w.branch(head)
     e.w.start(done)
-
-
-_FEW_TURNS = ('!"llvm.loop.vectorize.enable", i1 false', '!"llvm.loop.unroll.disable"')
 
 
 def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
@@ -87,8 +84,8 @@ def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     start = w.emit(f"phi i64 [ {low}, %{before} ], [ {following}, %{latch} ]")
     w.branch_if(w.emit(f"icmp slt i64 {start}, {high}"), turn, done)
     w.start(turn)
-    aligned = _aligned(e, start, offset)
-    stop = _least(e, w.emit(f"add nsw i64 {aligned}, {STRETCH}"), high)
+    aligned = line_start(e, start, offset, TOGETHER)
+    stop = least(e, w.emit(f"add nsw i64 {aligned}, {STRETCH}"), high)
     _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
     w.branch(latch)
     w.start(latch)
@@ -110,9 +107,9 @@ def _inner(e: Emitter, loop: lir.RowLoop, low: str, high: str) -> tuple[str, str
     if loop.inside is None:
         return low, high
     before, after = loop.inside.ends
-    first = _least(e, high, _most(e, low, str(before)))
+    first = least(e, high, most(e, low, str(before)))
     behind = e.w.emit(f"sub nsw i64 %argument{loop.inside.length.number}, {after}")
-    return first, _most(e, first, _least(e, high, behind))
+    return first, most(e, first, least(e, high, behind))
 
 
 def _compute(
@@ -133,16 +130,17 @@ def _compute(
     body = _body(loop)
     begin, end = first, last
     plan = None
-    if _only_streams(body, streaming):
-        begin = _aligned(e, first, offset)
+    if only_streams(body, streaming):
+        begin = line_start(e, first, offset, TOGETHER)
         taken = w.emit(f"add i64 {w.emit(f'sub i64 {last}, {begin}')}, {TOGETHER - 1}")
-        count = _choose(e, w.emit(f"icmp slt i64 {first}, {last}"), w.emit(f"and i64 {taken}, {-TOGETHER}"), "0")
+        count = choose(e, w.emit(f"icmp slt i64 {first}, {last}"), w.emit(f"and i64 {taken}, {-TOGETHER}"), "0")
         end = w.emit(f"add i64 {begin}, {count}")
-        plan = plan_registers(body, index)
+        plan = None if loop.inside is None else plan_registers(body, index)  # those without ends are joined
 
     def store(low: str, high: str) -> None:
-        low, high = _most(e, low, rows[0]), _least(e, high, rows[1])
-        _store(e, streaming, buffers, (low, _most(e, low, high)), aligned, offset)
+        low, high = most(e, low, rows[0]), least(e, high, rows[1])
+        begin = w.emit(f"add i64 {aligned}, {-TOGETHER}")
+        emit_stream(e, streaming.written, buffers, (low, most(e, low, high)), begin, offset)
 
     if plan is None:
         for ahead in streaming.ahead:
@@ -152,24 +150,31 @@ def _compute(
             _near_ends(e, loop, rows, first, last)
         store(*rows)
     else:
-        if loop.inside is not None:
-            _near_ends(e, loop, rows, first, last)
-            store(rows[0], begin)
+        _near_ends(e, loop, rows, first, last)
+        store(rows[0], begin)
         whole = _whole(e, first, last, begin, rows[1], offset)
-        parts = Parts(whole, None if loop.inside is None else (first, last), store)
-        emit_registers(e, plan, index, (begin, end), parts, streaming.ahead, e.loop_notes(*_FEW_TURNS))
-        if loop.inside is not None:
-            store(end, rows[1])
+
+        def is_whole(row: str) -> str:
+            from_, to = (w.emit(f"icmp {how} i64 {row}, {at}") for how, at in zip(("sge", "slt"), whole, strict=True))
+            return w.emit(f"and i1 {from_}, {to}")
+
+        def keep(row: str, results: Sequence[tuple[lir.Store, str]]) -> None:
+            for stmt, value in results:
+                put_rows(e, plan, value, e.element(stmt.slot, e.value(stmt.index)), row, (first, last))
+            store(row, w.emit(f"add i64 {row}, {plan.lanes}"))
+
+        emit_registers(e, plan, index, (begin, end), Parts(is_whole, keep), streaming.ahead, e.loop_notes(*FEW_TURNS))
+        store(end, rows[1])
     e.buffers.clear()
 
 
 def _whole(e: Emitter, first: str, last: str, begin: str, stop: str, offset: str) -> tuple[str, str]:
     """The rows of those from ``first`` to ``last`` that are whole lines of the cache; ``stop`` twice if none are."""
     after = e.w.emit(f"add i64 {begin}, {TOGETHER}")
-    low = _choose(e, e.w.emit(f"icmp eq i64 {begin}, {first}"), begin, after)
-    high = _aligned(e, last, offset)
+    low = choose(e, e.w.emit(f"icmp eq i64 {begin}, {first}"), begin, after)
+    high = line_start(e, last, offset, TOGETHER)
     some = e.w.emit(f"icmp slt i64 {low}, {high}")
-    return _choose(e, some, low, stop), _choose(e, some, high, stop)
+    return choose(e, some, low, stop), choose(e, some, high, stop)
 
 
 def _near_ends(e: Emitter, loop: lir.RowLoop, rows: tuple[str, str], first: str, last: str) -> None:
@@ -181,7 +186,7 @@ def _near_ends(e: Emitter, loop: lir.RowLoop, rows: tuple[str, str], first: str,
     w.start(head)
     reached = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{latch} ]")
     inner = w.emit(f"icmp eq i64 {reached}, {first}")
-    row = e.temps[loop.index[-1].number] = _choose(e, inner, last, reached)
+    row = e.temps[loop.index[-1].number] = choose(e, inner, last, reached)
     w.branch_if(w.emit(f"icmp slt i64 {row}, {stop}"), turn, done)
     w.start(turn)
     group, e.access_group = e.access_group, None
@@ -190,24 +195,8 @@ def _near_ends(e: Emitter, loop: lir.RowLoop, rows: tuple[str, str], first: str,
     w.branch(latch)
     w.start(latch)
     w.do(f"{following} = add nsw i64 {row}, 1")
-    w.do(f"br label %{head}{e.loop_notes(*_FEW_TURNS)}")
+    w.do(f"br label %{head}{e.loop_notes(*FEW_TURNS)}")
     w.start(done)
-
-
-def _only_streams(body: lir.Body, streaming: lir.Streaming) -> bool:
-    """Whether ``body`` leaves nothing but in slots that stream, and reads what has room around it."""
-    slots = {place.slot.number for place in streaming.written}
-    for stmt in body:
-        match stmt:
-            case lir.Accumulate():
-                return False
-            case lir.Store(slot) if slot.number not in slots:
-                return False
-            case lir.Let(_, lir.Load(slot)) if not isinstance(slot.binding, lir.FieldData | lir.GlobalData):
-                return False
-            case _:
-                pass
-    return True
 
 
 # ---- Buffers ----
@@ -220,25 +209,6 @@ def _buffers(e: Emitter, streaming: lir.Streaming) -> list[str]:
         e.w.allocate(f"[{rows * place.size} x {ops.memory_type(place.slot.type)}], align {_LINE_BYTES}")
         for place in streaming.written
     ]
-
-
-def _store(
-    e: Emitter, streaming: lir.Streaming, buffers: Sequence[str], rows: tuple[str, str], aligned: str, offset: str
-) -> None:
-    """Moves a stretch from the buffers to the slots."""
-    w, (start, stop) = e.w, rows
-    w.declare("i64 @llvm.umin.i64(i64, i64)")
-    if STREAM_FUNCTION not in e.module.definitions:
-        w.define(STREAM_FUNCTION, STREAM.replace("!NOTE", e.module.note("!{{i32 1}}")))
-    skipped = w.emit(f"sub i64 {start}, {w.emit(f'add i64 {aligned}, {-TOGETHER}')}")
-    count = w.emit(f"sub i64 {stop}, {start}")
-    first = w.emit(f"add i64 {start}, {offset}")
-    for place, buffer in zip(streaming.written, buffers, strict=True):
-        size = place.size * place.slot.type.bits // 8
-        to, source, length = (w.emit(f"mul i64 {number}, {size}") for number in (first, skipped, count))
-        target = w.emit(f"getelementptr inbounds i8, ptr %slot{place.slot.number}, i64 {to}")
-        moved = w.emit(f"getelementptr inbounds i8, ptr {buffer}, i64 {source}")
-        w.do(f"call void @{STREAM_FUNCTION}(ptr {target}, ptr {moved}, i64 {length})")
 
 
 def _fetch(e: Emitter, loop: lir.RowLoop, ahead: lir.RowPlace, start: str, stop: str) -> None:
@@ -262,26 +232,3 @@ def _fetch(e: Emitter, loop: lir.RowLoop, ahead: lir.RowPlace, start: str, stop:
     w.do(f"{following} = add nsw i64 {at}, {_LINE_BYTES}")
     w.branch(head)
     w.start(done)
-
-
-# ---- Numbers ----
-
-
-def _aligned(e: Emitter, row: str, offset: str) -> str:
-    """The last row up to ``row`` that begins a line of the cache in every field; its position is ``offset`` more."""
-    position = e.w.emit(f"add i64 {row}, {offset}")
-    return e.w.emit(f"sub i64 {row}, {e.w.emit(f'and i64 {position}, {TOGETHER - 1}')}")
-
-
-def _least(e: Emitter, a: str, b: str) -> str:
-    e.w.declare("i64 @llvm.smin.i64(i64, i64)")
-    return e.w.emit(f"call i64 @llvm.smin.i64(i64 {a}, i64 {b})")
-
-
-def _most(e: Emitter, a: str, b: str) -> str:
-    e.w.declare("i64 @llvm.smax.i64(i64, i64)")
-    return e.w.emit(f"call i64 @llvm.smax.i64(i64 {a}, i64 {b})")
-
-
-def _choose(e: Emitter, condition: str, then: str, other: str) -> str:
-    return e.w.emit(f"select i1 {condition}, i64 {then}, i64 {other}")

@@ -50,17 +50,15 @@ class Registers:
 
 @record
 class Parts:
-    """What becomes of registers that are not stored past the cache as they are: they go into buffers first.
+    """What becomes of registers that are not stored past the cache as they are.
 
     Attributes:
-        whole: between which rows registers are lines of the cache to store past it.
-        kept: the rows of others that go into buffers, where more than those is there already; None for all.
-        store: stores the rows from one up to another from the buffers.
+        is_whole: emits whether the register that begins with a row is a line of the cache to store past it.
+        store: emits what stores others, given the row, the statements that store, and what each stores.
     """
 
-    whole: tuple[str, str]
-    kept: tuple[str, str] | None
-    store: Callable[[str, str], None]
+    is_whole: Callable[[str], str]
+    store: Callable[[str, Sequence[tuple[lir.Store, str]]], None]
 
 
 def plan_registers(body: lir.Body, counter: lir.Temp) -> Registers | None:
@@ -91,6 +89,22 @@ def plan_registers(body: lir.Body, counter: lir.Temp) -> Registers | None:
     return Registers(body, names, scalar, made, kept)
 
 
+def only_streams(body: lir.Body, streaming: lir.Streaming) -> bool:
+    """Whether ``body`` leaves nothing but in slots that stream, and reads what has room around it."""
+    slots = {place.slot.number for place in streaming.written}
+    for stmt in body:
+        match stmt:
+            case lir.Accumulate():
+                return False
+            case lir.Store(slot) if slot.number not in slots:
+                return False
+            case lir.Let(_, lir.Load(slot)) if not isinstance(slot.binding, lir.FieldData | lir.GlobalData):
+                return False
+            case _:
+                pass
+    return True
+
+
 def _requests(
     names: Names, made: dict[Key, tuple[lir.Let, int]], results: list[Known], lanes: int
 ) -> dict[Key, set[int]]:
@@ -106,7 +120,7 @@ def _requests(
         if key not in requests:
             continue
         shifts = requests[key]
-        if len(shifts) > 1 and max(map(abs, shifts)) < lanes:
+        if len(shifts) > 1 and max(map(abs, shifts)) <= lanes:
             shifts = {lanes if max(shifts) > 0 else 0}
         elif len(shifts) > 1:
             requests[key] = {0}  # too far apart: computed for each
@@ -154,6 +168,8 @@ class _Registers:
         self.kept: dict[Key, dict[int, str]] = {}
         self.computed: dict[tuple[Key, int], str] = {}
         self.invariant: dict[Key, str] = {}
+        self.places: dict[tuple[int, lir.Value], str] = {}
+        self.row = ""
 
     def loop(self, start: str, stop: str, parts: Parts, ahead: Sequence[lir.RowPlace], metadata: str) -> None:
         w, plan = self.w, self.plan
@@ -161,6 +177,7 @@ class _Registers:
         w.branch_if(w.emit(f"icmp slt i64 {start}, {stop}"), some, none)
         w.start(some)  # where there are no rows inside, what the first of them would read may lie anywhere
         self.begin(start)
+        self.fix_places(start, ahead)
         initial = {key: {at: self.compute(key, at) for at in self.carried(key)} for key in plan.kept}
         head, turn, latch, done = (w.fresh(stem) for stem in ("head", "turn", "latch", "done"))
         before, following = w.label, f"%{w.fresh('next')}"
@@ -212,14 +229,36 @@ class _Registers:
     def fetch(self, ahead: lir.RowPlace) -> None:
         """Asks for what rows some way behind will read, into the second cache."""
         self.w.declare("void @llvm.prefetch.p0(ptr, i32, i32, i32)")
-        distance = FETCHED_AHEAD * 8 // ahead.slot.type.bits
-        place = self.w.emit(f"add i64 {self.e.value(ahead.row)}, {distance}")
-        line = self.e.element(ahead.slot, place)
+        line = self.place(ahead.slot, ahead.row, FETCHED_AHEAD * 8 // ahead.slot.type.bits)
         self.w.do(f"call void @llvm.prefetch.p0(ptr {line}, i32 0, i32 2, i32 1)")
+
+    def fix_places(self, start: str, ahead: Sequence[lir.RowPlace]) -> None:
+        """Emits the addresses of what the row 0 would read and write, from those of ``start``: in the loop all are so
+        many rows further, so that a single number is to be counted."""
+        places = [(place.slot, place.row) for place in ahead]
+        for stmt in self.plan.body:
+            match stmt:
+                case lir.Let(_, lir.Load(slot, index)) | lir.Store(slot, index):
+                    places.append((slot, index))
+                case _:
+                    pass
+        back = self.w.emit(f"mul i64 {start}, {-self.plan.scalar.bits // 8}")
+        for slot, index in places:
+            if self.plan.names.of(index).shift is not None and (slot.number, index) not in self.places:
+                at = f"%slot{slot.number}, i64 {self.e.value(index)}"
+                at = self.w.emit(f"getelementptr {ops.memory_type(slot.type)}, ptr {at}")
+                self.places[slot.number, index] = self.w.emit(f"getelementptr i8, ptr {at}, i64 {back}")
+
+    def place(self, slot: lir.Slot, index: lir.Value, later: int) -> str:
+        """The address of what is at ``index`` in the row ``later`` than the first of the register."""
+        size = self.plan.scalar.bits // 8
+        row = self.w.emit(f"mul i64 {self.row}, {size}")
+        first = self.w.emit(f"getelementptr i8, ptr {self.places[slot.number, index]}, i64 {row}")
+        return self.w.emit(f"getelementptr i8, ptr {first}, i64 {later * size}")
 
     def begin(self, row: str) -> None:
         """Emits what is the same in all rows, and addresses, for the register that begins at ``row``."""
-        self.e.temps[self.counter.number] = row
+        self.row = self.e.temps[self.counter.number] = row
         self.kept, self.computed, self.invariant = {}, {}, {}
         for stmt in self.plan.body:
             if isinstance(stmt, lir.Let):
@@ -232,46 +271,20 @@ class _Registers:
         w, e = self.w, self.e
         stores = [stmt for stmt in self.plan.body if isinstance(stmt, lir.Store)]
         values = [self.value(stmt.value, 0, 0) for stmt in stores]
-        limits = zip(("sge", "slt"), parts.whole, strict=True)
-        from_, to = (w.emit(f"icmp {how} i64 {row}, {at}") for how, at in limits)
+        is_whole = parts.is_whole(row)
         past, part, end = (w.fresh(stem) for stem in ("past", "part", "end"))
-        is_whole = w.emit(f"and i1 {from_}, {to}")
         weights = e.module.note('!{{!"branch_weights", i32 4000, i32 1}}')  # what is put on the stack is so for parts
         w.do(f"br i1 {is_whole}, label %{past}, label %{part}, !prof {weights}")
-        buffers: dict[int, tuple[str, str]] = dict(e.buffers)
         w.start(past)
-        e.buffers.clear()
         for stmt, value in zip(stores, values, strict=True):
-            place = e.element(stmt.slot, e.value(stmt.index))
+            place = self.place(stmt.slot, stmt.index, 0)
             note = e.module.note("!{{i32 1}}")
             w.do(f"store {self.type} {value}, ptr {place}, align {REGISTER_BYTES}, !nontemporal {note}")
         w.branch(end)
         w.start(part)
-        e.buffers.update(buffers)
-        for stmt, value in zip(stores, values, strict=True):
-            self.keep(value, e.element(stmt.slot, e.value(stmt.index)), row, parts.kept)
-        parts.store(row, w.emit(f"add i64 {row}, {self.plan.lanes}"))
+        parts.store(row, list(zip(stores, values, strict=True)))
         w.branch(end)
         w.start(end)
-
-    def keep(self, value: str, place: str, row: str, kept: tuple[str, str] | None) -> None:
-        """Puts a register into a buffer, or those of its rows that are ``kept``."""
-        align = plan_align(self.plan)
-        if kept is None:
-            self.w.do(f"store {self.type} {value}, ptr {place}, align {align}")
-            return
-        lanes = self.plan.lanes
-        numbers = f"<{lanes} x i64> <" + ", ".join(f"i64 {k}" for k in range(lanes)) + ">"
-        masks = list[str]()
-        for how, at in zip(("sge", "slt"), kept, strict=True):
-            number = self.w.emit(f"sub i64 {at}, {row}")
-            one = self.w.emit(f"insertelement <{lanes} x i64> poison, i64 {number}, i64 0")
-            all_ = f"shufflevector <{lanes} x i64> {one}, <{lanes} x i64> poison, <{lanes} x i32> zeroinitializer"
-            masks.append(self.w.emit(f"icmp {how} {numbers}, {self.w.emit(all_)}"))
-        mask = self.w.emit(f"and <{lanes} x i1> {masks[0]}, {masks[1]}")
-        name = f"llvm.masked.store.v{lanes}f{self.plan.scalar.bits}.p0"
-        self.w.declare(f"void @{name}({self.type}, ptr, i32, <{lanes} x i1>)")
-        self.w.do(f"call void @{name}({self.type} {value}, ptr {place}, i32 {align}, <{lanes} x i1> {mask})")
 
     # ---- Values ----
 
@@ -310,7 +323,7 @@ class _Registers:
         flags, t = self.e.flags, self.type
         match let.operation:
             case lir.Load(slot, index):
-                return self.load(slot, self.e.value(index), shift - made_for)
+                return self.load(slot, index, shift - made_for)
             case lir.Unary(_, operand):
                 return self.w.emit(f"fneg{flags} {t} {part(operand)}")
             case lir.Binary(op, left, right):
@@ -322,8 +335,8 @@ class _Registers:
             case _:
                 raise AssertionError("not planned")
 
-    def load(self, slot: lir.Slot, index: str, later: int) -> str:
-        place = self.e.element(slot, self.w.emit(f"add i64 {index}, {later}"))
+    def load(self, slot: lir.Slot, index: lir.Value, later: int) -> str:
+        place = self.place(slot, index, later)
         return self.w.emit(f"load {self.type}, ptr {place}, align {plan_align(self.plan)}")
 
     def broadcast(self, scalar: str) -> str:
@@ -335,3 +348,19 @@ class _Registers:
 def plan_align(plan: Registers) -> int:
     """The alignment of elements."""
     return plan.scalar.bits // 8
+
+
+def put_rows(e: Emitter, plan: Registers, value: str, place: str, row: str, rows: tuple[str, str]) -> None:
+    """Puts those of ``rows`` that are in a register to where the register belongs; it begins with ``row``."""
+    lanes, type_ = plan.lanes, f"<{plan.lanes} x {ops.llvm_type(plan.scalar)}>"
+    numbers = f"<{lanes} x i64> <" + ", ".join(f"i64 {k}" for k in range(lanes)) + ">"
+    masks = list[str]()
+    for how, at in zip(("sge", "slt"), rows, strict=True):
+        number = e.w.emit(f"sub i64 {at}, {row}")
+        one = e.w.emit(f"insertelement <{lanes} x i64> poison, i64 {number}, i64 0")
+        all_ = f"shufflevector <{lanes} x i64> {one}, <{lanes} x i64> poison, <{lanes} x i32> zeroinitializer"
+        masks.append(e.w.emit(f"icmp {how} {numbers}, {e.w.emit(all_)}"))
+    mask = e.w.emit(f"and <{lanes} x i1> {masks[0]}, {masks[1]}")
+    name = f"llvm.masked.store.v{lanes}f{plan.scalar.bits}.p0"
+    e.w.declare(f"void @{name}({type_}, ptr, i32, <{lanes} x i1>)")
+    e.w.do(f"call void @{name}({type_} {value}, ptr {place}, i32 {plan_align(plan)}, <{lanes} x i1> {mask})")

@@ -1,11 +1,18 @@
-"""A function that stores words past the cache, in LLVM IR."""
+"""A function that stores words past the cache, in LLVM IR, and calls of it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from ebb.backends.llvm.turns import FEW_TURNS, Emitter
+from ebb.compiler import lir
+
+_LINE_BYTES = 64
+_WORD = 4
 STREAM_FUNCTION = "ebb.stream"
 
 
-def _move(name: str, at: str, type_: str, nbytes: int) -> str:
+def _moved(name: str, at: str, type_: str, nbytes: int) -> str:
     """A piece from one place to the other."""
     return f"""  %{name}.from = getelementptr inbounds i8, ptr %from, i64 {at}
   %{name}.to = getelementptr inbounds i8, ptr %to, i64 {at}
@@ -38,7 +45,7 @@ def _once(name: str, at: str, type_: str, nbytes: int, leads: bool) -> str:
 {_fits(name, at, nbytes)}{_leads_to(name, at, nbytes) if leads else ""}\
   br i1 %{name}.{wanted}, label %{name}, label %{name}.out
 {name}:
-{_move(name, at, type_, nbytes)}  br label %{name}.out
+{_moved(name, at, type_, nbytes)}  br label %{name}.out
 {name}.out:
   %{name}.next = phi i64 [ {at}, %{name}.in ], [ %{name}.end, %{name} ]
 """
@@ -53,7 +60,7 @@ def _many(name: str, before: str, at: str, type_: str, nbytes: int, leads: bool)
 {_fits(name, f"%{name}.at", nbytes)}{_leads_to(name, f"%{name}.at", 63) if leads else ""}\
   br i1 %{name}.{wanted}, label %{name}.turn, label %{name}.out
 {name}.turn:
-{_move(name, f"%{name}.at", type_, nbytes)}  br label %{name}
+{_moved(name, f"%{name}.at", type_, nbytes)}  br label %{name}
 {name}.out:
 """
 
@@ -75,3 +82,80 @@ entry:
 """Moves words to where they lie as in ``from``, with respect to lines of the cache: whole lines where there are any,
 and before and behind them the widest pieces that are aligned. ``!NOTE`` is the number of a note that says 1. It is
 always inlined: around a call in a loop over registers all of them would be put on the stack and back."""
+
+
+def emit_stream(
+    e: Emitter, places: Sequence[lir.RowPlace], buffers: Sequence[str], rows: tuple[str, str], first: str, offset: str
+) -> None:
+    """Moves ``rows`` from the buffers, which begin with the row ``first``, to where they belong, ``offset`` further."""
+    w, (start, stop) = e.w, rows
+    if STREAM_FUNCTION not in e.module.definitions:
+        w.define(STREAM_FUNCTION, STREAM.replace("!NOTE", e.module.note("!{{i32 1}}")))
+    skipped, count = (w.emit(f"sub i64 {a}, {b}") for a, b in ((start, first), (stop, start)))
+    position = w.emit(f"add i64 {start}, {offset}")
+    for place, buffer in zip(places, buffers, strict=True):
+        size = place.size * place.slot.type.bits // 8
+        to, source, length = (w.emit(f"mul i64 {number}, {size}") for number in (position, skipped, count))
+        target = w.emit(f"getelementptr inbounds i8, ptr %slot{place.slot.number}, i64 {to}")
+        moved = w.emit(f"getelementptr inbounds i8, ptr {buffer}, i64 {source}")
+        w.do(f"call void @{STREAM_FUNCTION}(ptr {target}, ptr {moved}, i64 {length})")
+
+
+def emit_part(e: Emitter, value: str, place: str, start: str, stop: str) -> None:
+    """Stores the words from ``start`` up to ``stop`` of a line of the cache past it, from memory.
+
+    Parts at the end of the line, at its beginning, and others have code of their own: in that of the first two the same
+    branches are taken in line after line of a grid, so that they are foreseen.
+    """
+    w = e.w
+    end, others, beginning, word, done = (w.fresh(stem) for stem in ("end", "others", "beginning", "word", "done"))
+    w.branch_if(w.emit(f"icmp eq i64 {start}, 0"), beginning, others)
+    w.start(beginning)
+    at = "0"
+    for piece in (16, 8, 4, 2, 1):
+        at = _emit_piece(e, value, place, stop, piece, at)
+    w.branch(done)
+    w.start(others)
+    words = _LINE_BYTES // _WORD
+    w.branch_if(w.emit(f"icmp eq i64 {stop}, {words}"), end, word)
+    w.start(end)
+    count, at = w.emit(f"sub i64 {words}, {start}"), start
+    for piece in (1, 2, 4, 8):
+        at = _emit_piece(e, value, place, count, piece, at)
+    w.branch(done)
+    w.start(word)
+    head, turn, before, following = w.fresh("head"), w.fresh("turn"), w.label, f"%{w.fresh('next')}"
+    w.branch(head)
+    w.start(head)
+    at = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{turn} ]")
+    w.branch_if(w.emit(f"icmp slt i64 {at}, {stop}"), turn, done)
+    w.start(turn)
+    _move(e, value, place, 1, at)
+    w.do(f"{following} = add nsw i64 {at}, 1")
+    w.do(f"br label %{head}{e.loop_notes(*FEW_TURNS)}")
+    w.start(done)
+
+
+def _emit_piece(e: Emitter, value: str, place: str, count: str, piece: int, at: str) -> str:
+    """Stores so many words at ``at`` if the bit of ``count`` says so, and returns where the next begin."""
+    w = e.w
+    some, done = w.fresh("some"), w.fresh("done")
+    bit = w.emit(f"and i64 {count}, {piece}")
+    following = w.emit(f"add i64 {at}, {bit}")
+    w.branch_if(w.emit(f"icmp ne i64 {bit}, 0"), some, done)
+    w.start(some)
+    _move(e, value, place, piece, at)
+    w.branch(done)
+    w.start(done)
+    return following
+
+
+def _move(e: Emitter, value: str, place: str, words: int, at: str) -> None:
+    """Stores so many words at ``at``."""
+    w = e.w
+    at = w.emit(f"mul i64 {at}, {_WORD}")
+    from_, to = (w.emit(f"getelementptr i8, ptr {base}, i64 {at}") for base in (value, place))
+    nbytes = words * _WORD
+    type_ = f"i{nbytes * 8}" if words < 4 else f"<{words} x i32>"
+    piece = w.emit(f"load volatile {type_}, ptr {from_}, align {nbytes}")
+    w.do(f"store {type_} {piece}, ptr {to}, align {nbytes}, !nontemporal {e.module.note('!{{i32 1}}')}")

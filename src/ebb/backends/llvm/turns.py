@@ -12,6 +12,10 @@ FETCHED_AHEAD = 5 << 10
 """How far ahead memory is fetched. Half of it is too late, twice as much no better."""
 
 
+FEW_TURNS = ('!"llvm.loop.vectorize.enable", i1 false', '!"llvm.loop.unroll.disable"')
+"""What makes LLVM leave a loop as it is."""
+
+
 class Emitter(Protocol):
     """What emits the function around the rows.
 
@@ -71,3 +75,29 @@ def value_at(e: Emitter, body: lir.Body, counter: lir.Temp, value: lir.Value, tu
             e.statement(stmt)
     e.access_group = group
     return e.value(value)
+
+
+# ---- Numbers ----
+
+
+def line_start(e: Emitter, row: str, offset: str, rows: int) -> str:
+    """The last row up to ``row`` that begins ``rows`` that lie together; its position is ``offset`` more."""
+    position = e.w.emit(f"add i64 {row}, {offset}")
+    return e.w.emit(f"sub i64 {row}, {e.w.emit(f'and i64 {position}, {rows - 1}')}")
+
+
+def least(e: Emitter, a: str, b: str) -> str:
+    """The lesser of two numbers."""
+    e.w.declare("i64 @llvm.smin.i64(i64, i64)")
+    return e.w.emit(f"call i64 @llvm.smin.i64(i64 {a}, i64 {b})")
+
+
+def most(e: Emitter, a: str, b: str) -> str:
+    """The greater of two numbers."""
+    e.w.declare("i64 @llvm.smax.i64(i64, i64)")
+    return e.w.emit(f"call i64 @llvm.smax.i64(i64 {a}, i64 {b})")
+
+
+def choose(e: Emitter, condition: str, then: str, other: str) -> str:
+    """One of two numbers."""
+    return e.w.emit(f"select i1 {condition}, i64 {then}, i64 {other}")
