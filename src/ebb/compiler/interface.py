@@ -67,7 +67,8 @@ _RECORDS: tuple[type[Any], ...] = (
 _OPTIONS: tuple[type[Enum], ...] = (lir.Space, lir.Access, lir.Memory, lir.RandomWord)
 
 _MAKERS: Mapping[str, Callable[..., Any]] = {
-    **{kind.__name__: kind for kind in (*_RECORDS, *_OPTIONS)},
+    **{kind.__name__: kind for kind in _RECORDS},
+    **{kind.__name__: {option.value: option for option in kind}.__getitem__ for kind in _OPTIONS},
     _SCALAR: {scalar.name: scalar for scalar in SCALARS}.__getitem__,
 }
 
@@ -89,12 +90,11 @@ def _pack(thing: Any, numbers: Mapping[int, int]) -> Any:
 
 
 def _unpack(tree: Any, named: tuple[Any, ...]) -> Any:
-    match tree:
-        case list():
-            return tuple([_unpack(part, named) for part in cast("list[Any]", tree)])
-        case ("named", number):
-            return named[number]
-        case (str(maker), *rest):
-            return _MAKERS[maker](*[_unpack(part, named) for part in rest])
-        case _:
-            return tree
+    if isinstance(tree, list):
+        return tuple([_unpack(part, named) for part in cast("list[Any]", tree)])
+    if not isinstance(tree, tuple):
+        return tree
+    maker, *rest = cast("tuple[Any, ...]", tree)
+    if maker == _NAMED:
+        return named[rest[0]]
+    return _MAKERS[maker](*[_unpack(part, named) if isinstance(part, list | tuple) else part for part in rest])

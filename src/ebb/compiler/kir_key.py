@@ -47,9 +47,9 @@ def kernel_key(kernel: kir.Kernel, phases: PhaseTable, unchecked: Iterable[kir.A
     writer.parts(*[value.type for value in kernel.uniforms])
     for field, phase in phases.fields.items():
         flags = (phase.read, phase.written, phase.reduced, phase.centered_only, phase.queried)
-        writer.parts(field, phase.kind, phase.op, flags)
+        writer.parts(field, f"{phase.kind.name} {phase.op and phase.op.name} {flags}")
     for globl, phase in phases.globals.items():
-        writer.parts(globl, phase.kind, phase.op)
+        writer.parts(globl, f"{phase.kind.name} {phase.op and phase.op.name}")
     writer.parts(kernel.body)
     return KernelKey(" ".join(writer.words), tuple(writer.named))
 
@@ -141,6 +141,10 @@ def _write_global(writer: _Writer, globl: Global) -> None:
 
 
 def _write_relation(writer: _Writer, relation: Relation) -> None:
+    known = writer.named.get(relation)
+    if known is not None:
+        writer.words.append(known)
+        return
     # How many rows there are does not matter but for grids: the same code serves meshes of all sizes.
     shape = relation.shape if relation.is_grid else relation.ndim
     writer.name(relation, relation.name, relation.key_dtype.str, relation.periodic, shape)

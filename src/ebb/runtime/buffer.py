@@ -201,7 +201,7 @@ def aligned_zeros(shape: tuple[int, ...], dtype: np.dtype[Any], room: int = 0) -
     At least ``ALIGNMENT`` bytes behind it may be read: kernels load the rows of short vectors by whole registers. So
     may ``room`` bytes before and behind.
     """
-    nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    nbytes = prod(shape) * dtype.itemsize
     block = np.zeros(nbytes + 2 * room + 2 * ALIGNMENT, dtype=np.uint8)
     start = room + -(block.ctypes.data + room) % ALIGNMENT
     return block[start : start + nbytes].view(dtype).reshape(shape)

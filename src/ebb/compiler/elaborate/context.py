@@ -267,7 +267,8 @@ class Context:
         if not isinstance(host, HostConst):
             # One elaboration sees one state of the host: only the ranges of a number can differ.
             key = (host_identity(host), kind, facts if kind is RangeGuard else None)
-            self.guards.setdefault(key, kind(host, reader(host), *facts))
+            if key not in self.guards:
+                self.guards[key] = kind(host, reader(host), *facts)
 
 
 def is_parameter(host: HostExpr) -> bool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
 from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
 
 from ebb.compiler import kir
 from ebb.compiler.elaborate.source import SourceFunction
@@ -146,9 +146,19 @@ def parameter_names(node: ast.FunctionDef) -> list[str]:
     return [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
 
 
-@lru_cache(maxsize=256)  # functions are inlined again and again
 def find_stores(node: ast.FunctionDef) -> Stores:
     """How the body of a function assigns names; parts of a local (``x[0] = e``) count as the local."""
+    known = _stores.get(node)
+    if known is None:
+        known = _stores[node] = _find_stores(node)
+    return known
+
+
+_stores: WeakKeyDictionary[ast.FunctionDef, Stores] = WeakKeyDictionary()
+"""What has been found, as long as there is the tree: functions are inlined again and again."""
+
+
+def _find_stores(node: ast.FunctionDef) -> Stores:
     stores = Stores()
     for statement in _statements(node.body):
         match statement:

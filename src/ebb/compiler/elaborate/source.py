@@ -119,8 +119,15 @@ def _kept_source(code: CodeType, namespace: Mapping[str, Any]) -> str:
     # linecache knows files, archives and loaders (through the globals), and the cells of notebooks.
     lines = linecache.getlines(code.co_filename, dict(namespace))
     if lines:
-        return "".join(lines)
+        known = _joined.get(code.co_filename)
+        if known is None or known[0] is not lines:
+            known = _joined[code.co_filename] = (lines, "".join(lines))
+        return known[1]
     return _redirected_input() if code.co_filename == "<stdin>" else ""
+
+
+_joined: dict[str, tuple[list[str], str]] = {}
+"""The lines of each file as linecache has them, and its text, which then is one for all functions in it."""
 
 
 def _redirected_input() -> str:

@@ -33,8 +33,10 @@ class Centered:
 
 def find_centered(kernel: kir.Kernel) -> Centered:
     """The centered keys of ``kernel``: its row, and each local bound in one place only, to a centered key."""
-    assigned = single_assignments(kernel)
-    rows = frozenset[int]() if kernel.row.uid in _assigned_uids(kernel) else frozenset({kernel.row.uid})
+    bound = _bindings(kernel)
+    assigned = _assigned_once(bound)
+    assigned_row = any([stmt.local.uid == kernel.row.uid for stmt in bound])
+    rows = frozenset[int]() if assigned_row else frozenset({kernel.row.uid})
     centered = Centered(kernel.relation, rows)
     while True:
         more = {uid for uid, value in assigned.items() if centered.is_centered(value)} - centered.locals
@@ -45,12 +47,7 @@ def find_centered(kernel: kir.Kernel) -> Centered:
 
 def single_assignments(kernel: kir.Kernel) -> Mapping[int, kir.Expr]:
     """The value of each local that exactly one statement binds, where that is a whole assignment, by ``uid``."""
-    counts = _assigned_uids(kernel)
-    return {
-        stmt.local.uid: stmt.value
-        for stmt in statements(kernel.body)
-        if isinstance(stmt, kir.Assign) and not stmt.indices and counts[stmt.local.uid] == 1
-    }
+    return _assigned_once(_bindings(kernel))
 
 
 def is_identity(matrix: tuple[tuple[kir.Entry, ...], ...]) -> bool:
@@ -62,6 +59,15 @@ def is_identity(matrix: tuple[tuple[kir.Entry, ...], ...]) -> bool:
     )
 
 
-def _assigned_uids(kernel: kir.Kernel) -> Counter[int]:
-    """How many statements of the kernel bind each local."""
-    return Counter([stmt.local.uid for stmt in statements(kernel.body) if isinstance(stmt, _BINDS)])
+def _bindings(kernel: kir.Kernel) -> list[kir.Assign | kir.ForRange | kir.ForQuery]:
+    """The statements of the kernel that bind a local."""
+    return [stmt for stmt in statements(kernel.body) if isinstance(stmt, _BINDS)]
+
+
+def _assigned_once(bound: list[kir.Assign | kir.ForRange | kir.ForQuery]) -> dict[int, kir.Expr]:
+    counts = Counter([stmt.local.uid for stmt in bound])
+    return {
+        stmt.local.uid: stmt.value
+        for stmt in bound
+        if isinstance(stmt, kir.Assign) and not stmt.indices and counts[stmt.local.uid] == 1
+    }

@@ -58,11 +58,14 @@ class _Overrun:
 
 def collect_stencil(kernel: kir.Kernel) -> tuple[Access, ...]:
     """The affine accesses of ``kernel`` whose base is its own row, each once, in source order."""
+    maps = [expr for expr in expressions(kernel.body) if isinstance(expr, kir.Affine)]
+    if not maps:
+        return ()
     centered = find_centered(kernel)
     values = single_assignments(kernel)
     accesses: dict[kir.Affine, Access] = {}
-    for expr in expressions(kernel.body):
-        if isinstance(expr, kir.Affine) and expr not in accesses:
+    for expr in maps:
+        if expr not in accesses:
             steps = _steps_to(expr, centered, values)
             if steps is not None:
                 accesses[expr] = Access(expr, steps)
