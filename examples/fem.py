@@ -122,6 +122,7 @@ ADVICE = {
     Reason.PRECONDITIONER: GIVES_WAY,
     Reason.NOT_FINITE: "A force or a stiffness is infinite, or no number.",
     Reason.LIMIT: "Take a larger tolerance, or shorter steps.",
+    Reason.ROUNDING: "The stiffness is singular or nearly so, as of a body that can move as a whole.",
 }
 
 

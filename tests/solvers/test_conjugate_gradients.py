@@ -134,7 +134,8 @@ def test_it_stops_at_the_limit():
         result = ConjugateGradients(system.rows.x, system.rows.b, system.entries.a).solve(1e-12, most_iterations=limit)
         assert result.reason is Reason.LIMIT and not result.converged
         assert result.iterations == limit == len(result.residuals) - 1
-        assert result.residuals[-1] == pytest.approx(np.linalg.norm(system.dense @ system.x - system.right), rel=1e-9)
+        last = np.linalg.norm(system.dense @ system.x - system.right)
+        assert result.residuals[-1] == pytest.approx(last, rel=1e-9, abs=1e-11)
 
 
 def test_the_absolute_tolerance():
@@ -196,6 +197,28 @@ def test_blocks_of_much_stiffer_directions_stay_positive_definite():
     assert result.converged
     assert result.iterations <= 70
     np.testing.assert_allclose(system.x, np.linalg.solve(system.dense, system.right), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("scalar", [ebb.float32, ebb.float64])
+@pytest.mark.parametrize("preconditioner", [None, "jacobi"])
+def test_a_singular_system_converges_if_and_only_if_it_has_a_solution(preconditioner, scalar):
+    random, found = np.random.default_rng(0), []
+    half = random.normal(size=(10, 5))
+    for matrix in (2 * np.eye(10) - np.roll(np.eye(10), 1, axis=0) - np.roll(np.eye(10), -1, axis=0), half @ half.T):
+        system = System(matrix, np.zeros(10), scalar)
+        solver = ConjugateGradients(system.rows.x, system.rows.b, system.entries.a, preconditioner=preconditioner)
+        for right in random.normal(size=(8, 10)):
+            for solvable in (False, True):
+                system.right = matrix @ right if solvable else right
+                system.rows.b.load(system.right)
+                system.rows.x.fill(0.0)
+                result = solver.solve(1e-5, most_iterations=30)
+                found.append(result.reason)
+                assert result.converged == solvable, result
+                assert not solvable or system.residual() < 1e-3
+                # It is itself a matter of rounding, where x is as large as 1e16.
+                assert result.reason is not Reason.ROUNDING or result.residuals[-1] > 1e-4 * np.linalg.norm(right)
+    assert Reason.ROUNDING in found
 
 
 @pytest.mark.parametrize("where", ["b", "matrix", "overflow"])

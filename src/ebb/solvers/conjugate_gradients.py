@@ -6,7 +6,16 @@ from math import inf
 from typing import Any, ClassVar
 
 import ebb
-from ebb.solvers.iteration import CURVATURE, NOT_FINITE, PRECONDITIONER, RUNNING, is_finite, judge
+from ebb.solvers.iteration import (
+    CONVERGED,
+    CURVATURE,
+    DOUBTFUL,
+    NOT_FINITE,
+    PRECONDITIONER,
+    RUNNING,
+    is_finite,
+    judge,
+)
 from ebb.solvers.kernels import dot_of
 from ebb.solvers.krylov import KrylovSolver
 
@@ -53,18 +62,36 @@ class ConjugateGradients(KrylovSolver):
                 v[x] += length() * direction
                 v[p] = again(v, v[r]) + number(after.value / before.value) * direction
 
+        # Of row 0: r.z, the lengths of steps, and the square of the largest residual.
+        for name in ("inner", "shortest", "longest", "largest"):
+            self._progress.steps.new_field(name, ebb.float64)
+
         @ebb.kernel
         def begin_steps(s: Any) -> None:
             begin(s, norm.value)
             if ebb.id(s) == 0:
                 before.value += after.value
+                s.inner, s.shortest, s.longest, s.largest = after.value, inf, 0.0, square.value
 
         self._update, self._turn, self._begin_steps = update, turn, begin_steps
         self._judge = self._judging_kernel(before)
 
     def _judging_kernel(self, before: ebb.Global) -> ebb.Kernel:
         go, curvature, after, square = self._go, self._product, self._inner, self._square
-        target, limit = self._progress.target, self._progress.limit
+        target, limit, norm = self._progress.target, self._progress.limit, self._norm
+        rounding = self._rounding
+
+        @ebb.func
+        def is_doubtful(s: Any) -> Any:
+            """Whether rounding may have parted the residual that the iteration knows from that of the solution.
+
+            How far it can depends on how large the solution has been, so on the residuals, and on the matrix
+            (Greenbaum, "Estimating the attainable accuracy of recursively computed residual methods", 1997): the
+            lengths of steps lie between the inverses of its least and its largest eigenvalue. It does where the matrix
+            is singular, and the right-hand side no product of it.
+            """
+            parted = (rounding * s.longest / s.shortest) ** 2 * s.largest
+            return parted > 1e-8 * max(100 * target.value, rounding * norm.value)
 
         @ebb.kernel
         def judge_step(s: Any) -> None:
@@ -78,6 +105,12 @@ class ConjugateGradients(KrylovSolver):
             status = judge(s, square.value, fault, target.value, limit.value)
             if ebb.id(s) == 0:
                 before.value += after.value
+                if curvature.value > 0:
+                    length = s.inner / curvature.value
+                    s.inner, s.shortest, s.longest = after.value, min(s.shortest, length), max(s.longest, length)
+                    s.largest = max(s.largest, square.value)
+                    if status == CONVERGED and is_doubtful(s):
+                        s.status = DOUBTFUL
                 if status == RUNNING:
                     go.value += 1
 

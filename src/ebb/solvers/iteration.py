@@ -40,6 +40,7 @@ class Reason(StrEnum):
     BREAKDOWN = "breakdown"
     NOT_FINITE = "not finite"
     PRECONDITIONER = "preconditioner not positive definite"
+    ROUNDING = "lost to rounding"
     STOPPED = "stopped by the callback"
 
 
@@ -53,10 +54,11 @@ class Status(IntEnum):
     BREAKDOWN = 4
     NOT_FINITE = 5
     PRECONDITIONER = 6
+    DOUBTFUL = 7
 
 
 # Plain numbers, for kernels.
-RUNNING, CONVERGED, LIMIT, CURVATURE, BREAKDOWN, NOT_FINITE, PRECONDITIONER = (int(each) for each in Status)
+RUNNING, CONVERGED, LIMIT, CURVATURE, BREAKDOWN, NOT_FINITE, PRECONDITIONER, DOUBTFUL = (int(each) for each in Status)
 
 _REASONS = {
     Status.CONVERGED: Reason.CONVERGED,
@@ -65,6 +67,7 @@ _REASONS = {
     Status.BREAKDOWN: Reason.BREAKDOWN,
     Status.NOT_FINITE: Reason.NOT_FINITE,
     Status.PRECONDITIONER: Reason.PRECONDITIONER,
+    Status.DOUBTFUL: Reason.ROUNDING,
 }
 
 
@@ -74,7 +77,8 @@ class Result:
 
     Attributes:
         iterations: how many there were.
-        residuals: the norms of b - A x, as the iteration knows them: at the start and after each iteration.
+        residuals: the norms of b - A x, as the iteration knows them: at the start and after each iteration. Where the
+            solve is lost to rounding, the last is what the norm is in truth.
         converged: whether the last of them is small enough.
         reason: why the solve ended: a ``Reason``, which is a string.
     """
@@ -133,7 +137,8 @@ class Progress:
 
     Attributes:
         steps: a relation with a row for each iteration of a run: each has the ``status`` of the solve and the count of
-            iterations ``taken``, alike in all, and the ``square`` of the residual of its own iteration.
+            iterations ``taken``, alike in all but that row 0 alone may be ``DOUBTFUL`` instead of ``CONVERGED``, and
+            the ``square`` of the residual of its own iteration.
         relative: the square of the tolerance relative to the right-hand side.
         absolute: the square of the absolute tolerance.
         target: the square of the norm of the residual at which to stop.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, sqrt
 from typing import Any, ClassVar
 
 import numpy as np
@@ -61,6 +61,7 @@ class KrylovSolver:
         self._system = system = LinearSystem(x, b, matrix, product, row, column, rows)
         check_preconditioner(system, preconditioner)
         self._progress = Progress(self.prefix)
+        self._rounding = float(np.finfo(system.scalar.dtype).eps)
         self._go, self._faults = ebb.Global(ebb.int32, 1), ebb.Global(ebb.int32, 0)
         self._product, self._inner, self._square, self._norm = (ebb.Global(ebb.float64, 0.0) for _ in range(4))
         # The vector that is preconditioned, at first the residual; that which is multiplied, and the product.
@@ -111,7 +112,19 @@ class KrylovSolver:
         result = self._progress.run(step, square, callback)
         if result.reason is Reason.NOT_FINITE:
             self._system.rows.copy(self._saved, self._system.x)
-        return result
+        return self._checked(result) if result.reason is Reason.ROUNDING else result
+
+    def _checked(self, result: Result) -> Result:
+        """The result, in doubt whether ``x`` has the residual that the iteration takes it to have."""
+        _clear(self._product, self._square, self._norm, self._inner)
+        self._go.value = 1
+        self._begin(self._system.rows)
+        self._multiply()
+        self._find_residual(self._system.rows)
+        square, target = self._square.value, self._progress.target.value
+        if square <= max(100 * target, self._rounding * self._norm.value):
+            return Result(result.iterations, result.residuals, Reason.CONVERGED)
+        return Result(result.iterations, np.append(result.residuals[:-1], sqrt(square)), Reason.ROUNDING)
 
     def _over_at_start(self, options: Options) -> Reason | None:
         if not isfinite(self._square.value):
