@@ -7,11 +7,12 @@ What a row loop, a failure and a variable of a group are differs between a threa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from ebb.backends.llvm import atomics, ops
 from ebb.backends.llvm.hooks import Strips
 from ebb.backends.llvm.lanes import Flags, emit_strips
+from ebb.backends.llvm.products import emit_products, plan_products
 from ebb.backends.llvm.strides import meets_itself
 from ebb.backends.llvm.strips import plan_strips
 from ebb.backends.llvm.unroll import FULLY, is_unrolled
@@ -221,9 +222,13 @@ class StatementEmitter(ABC):
         self.w.start(done)
 
     def for_(self, stmt: lir.For) -> None:
-        """In strips where the order of the turns means nothing, the target is for it, and the body is fit."""
+        """In registers where the order of the turns means nothing, the target is for it, and the body is fit."""
         plan = None
         if stmt.turns is lir.Turns.ANY_ORDER and self.module.hooks.strips is Strips.MASKED:
+            products = plan_products(stmt)
+            if products is not None:
+                emit_products(self, stmt, products, self.loop_notes(*AS_IT_IS))
+                return
             plan = plan_strips(stmt, self.variable_reads, self.module.hooks.vector_math)
         if plan is None:
             notes = [FULLY] if self.module.hooks.groups is None and is_unrolled(stmt) else []
@@ -245,6 +250,12 @@ class StatementEmitter(ABC):
 
     def count(self, counter: lir.Temp, start: str, stop: str, body: lir.Body, metadata: str = "") -> None:
         """A loop whose turns are counted, with ``metadata`` at its end."""
+        self.count_turns(counter, start, stop, lambda: self.body(body), metadata)
+
+    def count_turns(
+        self, counter: lir.Temp, start: str, stop: str, emit_turn: Callable[[], None], metadata: str = ""
+    ) -> None:
+        """The same of turns that ``emit_turn`` emits."""
         head, turn, latch, done = (self.w.fresh(stem) for stem in ("head", "turn", "latch", "done"))
         t, before, following = ops.llvm_type(counter.type), self.w.label, f"%{self.w.fresh('next')}"
         self.w.branch(head)
@@ -253,7 +264,7 @@ class StatementEmitter(ABC):
         self.temps[counter.number] = name
         self.w.branch_if(ops.compare(self.w, "<", counter.type, name, stop), turn, done)
         self.w.start(turn)
-        self.body(body)
+        emit_turn()
         self.w.branch(latch)
         self.w.start(latch)
         # It is below stop here, so that one more does not overflow.

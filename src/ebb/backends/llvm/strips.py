@@ -112,11 +112,11 @@ def plan_strips(loop: lir.For, reads: Mapping[int, int], vector_math: VectorForm
         return None
 
 
-def split(plan: StripPlan, index: lir.Value) -> tuple[lir.Value, int]:
+def split(definitions: Mapping[int, lir.Operation], index: lir.Value) -> tuple[lir.Value, int]:
     """``index`` as a root and a constant."""
     offset = 0
     while isinstance(index, lir.Temp):
-        match plan.definitions.get(index.number):
+        match definitions.get(index.number):
             case lir.Binary("+", root, lir.Literal(constant)):
                 index, offset = root, offset + constant
             case _:
@@ -187,7 +187,7 @@ class _Planner:
         """Whether two indexes surely differ, as those of two components of one row do."""
         if isinstance(left, lir.Literal) and isinstance(right, lir.Literal):
             return left != right
-        (root, offset), (other, another) = split(self.plan, left), split(self.plan, right)
+        (root, offset), (other, another) = split(self.plan.definitions, left), split(self.plan.definitions, right)
         return offset != another and self.same(root, other)
 
     def same(self, left: lir.Value, right: lir.Value) -> bool:
@@ -315,7 +315,7 @@ class _Planner:
             return isinstance(sum_.index, lir.Literal)
         binding = sum_.place.binding
         size = binding.field.type.size if isinstance(binding, lir.FieldData) else 1
-        row, component = split(self.plan, sum_.index)
+        row, component = split(self.plan.definitions, sum_.index)
         if size > 1 and isinstance(row, lir.Temp):
             match self.plan.definitions.get(row.number):
                 case lir.Binary("*", row, lir.Literal(factor)) if factor == size:
@@ -348,7 +348,7 @@ class _Planner:
     def find_row(
         self, found: dict[tuple[int, lir.Value], RowLoad], temp: lir.Temp, slot: lir.Slot, index: lir.Value
     ) -> None:
-        root, offset = split(self.plan, index)
+        root, offset = split(self.plan.definitions, index)
         row = found.get((slot.number, root))
         if row is None:
             row = found[slot.number, root] = self.plan.rows[temp.number] = RowLoad(slot, root, [])
