@@ -16,7 +16,7 @@ import ebb.backends.llvm.optimize as optimizing
 from ebb.backends import cache as caching
 from ebb.backends import known
 from ebb.backends.cache import DEFAULT_LIMIT, ObjectCache, cache_directory, cache_limit, cache_usage, key_of
-from ebb.backends.cpu import CpuBackend
+from ebb.backends.cpu import CpuBackend, backend, cpu_backend
 from ebb.relations.relation import Relation
 from ebb.runtime.cpu import CpuDevice
 from ebb.types.types import float32
@@ -36,6 +36,13 @@ def nothing_said_yet(monkeypatch):
 def settled_sources(monkeypatch):
     """Files of the package that were changed just now would keep the interfaces out of the cache."""
     monkeypatch.setattr(known, "_sources", lambda: "these")
+
+
+@pytest.fixture(autouse=True)
+def driver_elsewhere(monkeypatch):
+    """The driver is compiled and kept like kernels: these tests count files and kernels."""
+    driver = cpu_backend(1).driver()
+    monkeypatch.setattr(backend, "_driver", lambda device, kept: driver)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from ebb.backends.cache import cache_usage
 HERE = Path(__file__).parent
 PROGRAM = HERE / "cached_program.py"
 KERNELS = 4
+FILES = KERNELS + 1  # the driver takes launches through all of them
 
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
 
@@ -64,7 +65,7 @@ def test_processes_begin_at_once_on_an_empty_folder(tmp_path, count):
     processes = [start(tmp_path / "cache") for _ in range(count)]
     assert [finish(process) for process in processes] == [("right\n", "")] * count
     files = sorted(path.suffix for path in (tmp_path / "cache").iterdir())
-    assert [suffix for suffix in files if suffix != ".i"] == [".o"] * KERNELS
+    assert [suffix for suffix in files if suffix != ".i"] == [".o"] * FILES
 
 
 @pytest.mark.slow
@@ -91,7 +92,7 @@ def test_the_folder_is_removed_again_and_again(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such limits")
-@pytest.mark.parametrize("largest", [0, 1, 1000])
+@pytest.mark.parametrize("largest", [0, 1, 300])
 def test_files_cannot_grow(tmp_path, largest):
     """A write that the system cuts short fails as on a full disk does."""
     limited = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({largest}, {largest}))"

@@ -67,7 +67,7 @@ def test_offsets_on_a_grid_are_vectorised():
 
 def test_every_stage_is_shown(axpy):
     assert inspect(axpy, "lir").startswith("program step over line")
-    assert "define" in inspect(axpy, "llvm") and "ebb_launch" in inspect(axpy, "asm")
+    assert "define" in inspect(axpy, "llvm") and "ebb_blocks" in inspect(axpy, "asm")
     assert inspect(axpy, "ptx") is None
 
 

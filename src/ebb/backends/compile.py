@@ -62,15 +62,15 @@ def kept_code(
     return key, image
 
 
-def replay_code(target: Target, cache: ObjectCache) -> bytes:
-    """The object code that replays captured steps: from ``cache``, or compiled and put there."""
-    key = key_of("replay", target.fingerprint, _emitter_version())
+def driver_code(target: Target, cache: ObjectCache) -> bytes:
+    """The object code of the driver: from ``cache``, or compiled and put there."""
+    key = key_of("driver", target.fingerprint, _emitter_version())
     image = cache.get(key)
     if image is None:
+        from ebb.backends.llvm.driver import DRIVER_MODULE
         from ebb.backends.llvm.optimize import optimize
-        from ebb.backends.llvm.replay import REPLAY_MODULE
 
-        image = bytes(target.machine.emit_object(optimize(REPLAY_MODULE, target)))
+        image = bytes(target.machine.emit_object(optimize(DRIVER_MODULE, target)))
         cache.put(key, image)
     return image
 

@@ -22,20 +22,26 @@ from ebb.runtime.symbols import external_symbols
 from ebb.runtime.threads import openmp, usable_threads
 
 THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, THREAD_COUNT, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(12)
-HEADER_WORDS = 12
+BLOCK_CODE, FINISH_CODE = 12, 13
+HEADER_WORDS = 14
 """The header: how many threads, blocks and rows; the boxes of the blocks; OpenMP's entries; the failure records; then
 what may run at once: the stretches of blocks that are the items, each as its first block and the one behind its last
 (no address: each block is an item); the item that each wave starts with; how many waves there are; and the present one.
-The items of a wave run at once. In each wave they ascend."""
+The items of a wave run at once. In each wave they ascend. Last where the entries of the kernel are."""
 
 FAILURE_WORDS = 16
 """A thread's failure record: the site + 1 (0: none), the block, the row's position, and the payload."""
 
 PAYLOAD_START = 3
 
-LAUNCH, SHARE, FINISH = "ebb_launch", "ebb_share", "ebb_finish"
-"""``i64 LAUNCH(block*)`` runs everything on the threads of OpenMP and returns 1 on failure. For other threads there are
-``void SHARE(block*, i64 thread, i64 threads)``, what one thread does of the present wave, and ``void FINISH(block*)``.
+BLOCK_ENTRY, FINISH_ENTRY = "ebb_blocks", "ebb_finish"
+"""The entries of a kernel: ``i64 BLOCK_ENTRY(block*, record*, i64 first, i64 end)`` runs some blocks of rows and
+returns 1 on failure, which the record tells of, ``void FINISH_ENTRY(block*)`` does what is left behind the last wave.
+"""
+
+LAUNCH, SHARE = "ebb_launch", "ebb_share"
+"""The entries of the driver: ``i64 LAUNCH(block*)`` runs everything on the threads of OpenMP and returns 1 on failure.
+For other threads there is ``void SHARE(block*, i64 thread, i64 threads)``, what one thread does of the present wave.
 """
 
 _links = itertools.count()
@@ -86,27 +92,31 @@ class ArgumentBlock:
 
 
 class CpuCode:
-    """Machine code in this process. It is unloaded with this object."""
+    """Machine code of a kernel in this process. It is unloaded with this object.
 
-    __slots__ = ("_tracker", "address", "finish", "launch", "share")
+    Attributes:
+        blocks, finish: the addresses of its entries.
+    """
+
+    __slots__ = ("_tracker", "blocks", "finish")
 
     def __init__(self, tracker: Any) -> None:
         self._tracker = tracker
-        self.address: int = tracker[LAUNCH]
+        self.blocks: int = tracker[BLOCK_ENTRY]
+        self.finish: int = tracker[FINISH_ENTRY]
+
+
+class Driver:
+    """The machine code that takes launches, and captured steps, through that of kernels. It goes with this object."""
+
+    __slots__ = ("_tracker", "launch", "replay", "share")
+
+    def __init__(self, tracker: Any) -> None:
+        self._tracker = tracker
         word, pointer = ctypes.c_int64, ctypes.c_void_p
         self.launch: Callable[[int], int] = ctypes.CFUNCTYPE(word, pointer)(tracker[LAUNCH])
         self.share: Callable[[int, int, int], None] = ctypes.CFUNCTYPE(None, pointer, word, word)(tracker[SHARE])
-        self.finish: Callable[[int], None] = ctypes.CFUNCTYPE(None, pointer)(tracker[FINISH])
-
-
-class ReplayCode:
-    """The machine code that replays captured steps. It is unloaded with this object."""
-
-    __slots__ = ("_tracker", "run")
-
-    def __init__(self, tracker: Any) -> None:
-        self._tracker = tracker
-        self.run: Callable[[int], int] = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(tracker[REPLAY])
+        self.replay: Callable[[int], int] = ctypes.CFUNCTYPE(word, pointer)(tracker[REPLAY])
 
 
 class CpuDevice:
@@ -125,26 +135,26 @@ class CpuDevice:
         Raises:
             BackendError: it cannot be linked.
         """
-        return CpuCode(_link(name, image, (LAUNCH, SHARE, FINISH)))
+        return CpuCode(_link(name, image, (BLOCK_ENTRY, FINISH_ENTRY)))
 
-    def load_replay(self, image: bytes) -> ReplayCode:
-        """Links the object code that replays captured steps into the process.
+    def load_driver(self, image: bytes) -> Driver:
+        """Links the object code of the driver into the process.
 
         Raises:
             BackendError: it cannot be linked.
         """
-        return ReplayCode(_link(REPLAY, image, (REPLAY,)))
+        return Driver(_link("driver", image, (LAUNCH, SHARE, REPLAY)))
 
-    def launch(self, code: CpuCode, block: ArgumentBlock, shares: int) -> bool:
-        """Runs ``code`` over its blocks of rows, which at most ``shares`` threads share.
+    def launch(self, driver: Driver, block: ArgumentBlock, shares: int) -> bool:
+        """Runs the code of ``block`` over its blocks of rows, which at most ``shares`` threads share.
 
         Returns:
             Whether some row failed.
         """
         threads = block.numbers[THREADS] = self.threads_for(shares)
         if threads == 1 or block.numbers[FORK]:
-            return code.launch(block.address) != 0
-        return _launch_on_python_threads(code, block, threads)
+            return driver.launch(block.address) != 0
+        return _launch_on_python_threads(driver, block, threads)
 
     def threads_for(self, shares: int) -> int:
         """How many threads a launch gets that as many as ``shares`` threads can share."""
@@ -152,11 +162,11 @@ class CpuDevice:
         return usable_threads(threads) if threads > 1 else 1
 
 
-def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int) -> bool:
+def _launch_on_python_threads(driver: Driver, block: ArgumentBlock, threads: int) -> bool:
     from concurrent.futures import ThreadPoolExecutor  # here: few machines get here
 
     def share(thread: int) -> None:
-        code.share(block.address, thread, threads)
+        driver.share(block.address, thread, threads)
 
     with ThreadPoolExecutor(threads) as pool:
         for wave in range(block.numbers[WAVES]):
@@ -164,7 +174,7 @@ def _launch_on_python_threads(code: CpuCode, block: ArgumentBlock, threads: int)
             list(pool.map(share, range(threads)))
     if block.failures[:, 0].any():
         return True
-    code.finish(block.address)
+    ctypes.CFUNCTYPE(None, ctypes.c_void_p)(block.numbers[FINISH_CODE])(block.address)
     return False
 
 

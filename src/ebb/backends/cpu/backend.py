@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ebb.backends.backend import CheckedKernel, How, Operation
 from ebb.backends.cache import ObjectCache, cache_directory
-from ebb.backends.compile import replay_code, stages_of
+from ebb.backends.compile import driver_code, stages_of
 from ebb.backends.cpu.binding import Binding
 from ebb.backends.cpu.replay import Replay
 from ebb.backends.cpu.tiles import block_starts
@@ -23,7 +23,7 @@ from ebb.compiler.scatter.choose import ANY_ORDER, ATOMICALLY, BLOCK_TOTALS, ROW
 from ebb.compiler.scatter.waves import in_order
 from ebb.records import record
 from ebb.relations.subset import RowSet
-from ebb.runtime.cpu import CpuCode, CpuDevice, ReplayCode
+from ebb.runtime.cpu import CpuCode, CpuDevice, Driver
 from ebb.runtime.threads import openmp, thread_count
 
 
@@ -58,11 +58,15 @@ class CpuBackend:
         """
         return CpuExecutable(checked, self)
 
+    def driver(self) -> Driver:
+        """What takes launches through the code of kernels."""
+        return _driver(self.processor, self.cache)
+
     def replay(self, operations: Sequence[Operation]) -> Replay | None:
         """A captured step as one piece of machine code, or None where there is no OpenMP to run its launches with."""
         if self.processor.threads > 1 and openmp() is None:
             return None
-        return Replay(_replay_code(self.processor, self.cache), operations)
+        return Replay(self.driver(), operations)
 
 
 def cpu_backend(threads: int | None = None, reorder: bool = True, atomics: bool = False) -> CpuBackend:
@@ -87,9 +91,9 @@ def _backend_of(threads: int, directory: Path, reorders: bool, updates: lir.Upda
 
 
 @cache
-def _replay_code(device: CpuDevice, objects: ObjectCache) -> ReplayCode:
-    """The code that replays captured steps, which is the same for all."""
-    return device.load_replay(replay_code(host(), objects))
+def _driver(device: CpuDevice, objects: ObjectCache) -> Driver:
+    """What takes launches through the code of kernels, which is the same for all."""
+    return device.load_driver(driver_code(host(), objects))
 
 
 class CpuExecutable(CompiledExecutable[tuple[Interface, CpuCode], Binding]):
@@ -121,7 +125,7 @@ class CpuExecutable(CompiledExecutable[tuple[Interface, CpuCode], Binding]):
         return interface, backend.processor.load(draft.name, image)
 
     def _attach(self, draft: Draft, code: tuple[Interface, CpuCode], rows: RowSet) -> Binding:
-        return Binding(draft, *code, self._backend.processor, rows)
+        return Binding(draft, *code, self._backend.driver(), self._backend.processor, rows)
 
     def _settle(self, binding: Binding, run: Run) -> None:
         binding.settle(run.waves)

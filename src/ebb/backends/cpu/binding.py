@@ -28,7 +28,21 @@ from ebb.relations.globals import Global
 from ebb.relations.subset import RowSet
 from ebb.runtime import random
 from ebb.runtime.buffer import Array, aligned_zeros, host_code_uses
-from ebb.runtime.cpu import BLOCKS, BOXES, ITEMS, ROWS, STARTS, THREADS, WAVES, ArgumentBlock, CpuCode, CpuDevice
+from ebb.runtime.cpu import (
+    BLOCK_CODE,
+    BLOCKS,
+    BOXES,
+    FINISH_CODE,
+    ITEMS,
+    ROWS,
+    STARTS,
+    THREADS,
+    WAVES,
+    ArgumentBlock,
+    CpuCode,
+    CpuDevice,
+    Driver,
+)
 from ebb.runtime.threads import worthwhile_threads
 from ebb.types.types import Kind, ScalarType
 
@@ -51,21 +65,27 @@ class Binding:
     """A program, its code, and the argument block for launches on one set of rows.
 
     Attributes:
-        code: the machine code.
+        rows: what a launch runs on.
+        phases: how the kernel uses fields and globals.
         random_words: the words of the argument block that make launches draw other numbers, for kernels that draw.
     """
 
     def __init__(
-        self, draft: Draft, interface: Interface, code: CpuCode, device: CpuDevice, rows: RowSet
+        self, draft: Draft, interface: Interface, code: CpuCode, driver: Driver, device: CpuDevice, rows: RowSet
     ) -> None:  # fmt: skip
         self._draft = draft
         self._kernel = draft.step.kernel
         self._interface = interface
-        self.code = code
+        self._code = code  # held: it would be unloaded
+        self._driver = driver
         self._device = device
         self._layout = layout_of(interface)
         self._block = ArgumentBlock(self._layout.words, device.threads)
+        self._block.words[[BLOCK_CODE, FINISH_CODE]] = code.blocks, code.finish
+        self.rows = rows
+        self.phases = draft.step.phases
         self._rows = rows.size
+        self._tiles: Array | None = None
         self._blocks = self._place_rows(rows)
         self._waves: Waves | None = None
         self._shares = 0
@@ -126,9 +146,9 @@ class Binding:
             self.place_key(self._block.words, random.next_launch())
         try:
             if self._alone:
-                failed = self.code.launch(self._block.address)
+                failed = self._driver.launch(self._block.address)
             else:
-                failed = self._device.launch(self.code, self._block, self._shares)
+                failed = self._device.launch(self._driver, self._block, self._shares)
             failure = self.take_failure() if failed else None
         except BaseException:  # an interrupt: the failure of this launch is none of the next
             self.forget_failures()
@@ -151,6 +171,23 @@ class Binding:
         words = aligned_zeros(self._block.words.shape, self._block.words.dtype)
         words[:] = self._block.words
         return words, (self._waves, self._starts, self._arrays)
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether a launch is nothing but its blocks, in any order: none can fail, and nothing is added up of them."""
+        adds = any(isinstance(each, Global) for each in self._written) or self._kept
+        ordered = self._waves is not None or self._interface.can_fail or self._prints is not None
+        return not (adds or ordered or self.random_words)
+
+    @property
+    def blocks(self) -> int:
+        """How many blocks a launch goes through."""
+        return self._blocks
+
+    def has_blocks_of(self, other: Binding) -> bool:
+        """Whether a launch goes through the blocks of another on the same rows."""
+        mine, others = self._tiles, other._tiles
+        return mine is others or (mine is not None and others is not None and np.array_equal(mine, others))
 
     def threads(self) -> int:
         """How many threads a launch gets now."""

@@ -35,13 +35,14 @@ _ONE_AT_A_TIME = '!"llvm.loop.interleave.count", i32 1'
 
 
 def write_block(program: lir.Program, module: ModuleWriter) -> None:
-    """Adds the two functions of ``program`` to ``module``, and the entries of ``write_entries``."""
+    """Adds the functions of ``program`` to ``module``, and the entries of ``write_entries``."""
     block = _BlockEmitter(program, module)
     block.body(program.block)
     block.finish(BLOCK_FUNCTION)
-    finish = _BlockEmitter(program, module)
-    finish.body(program.finish)
-    finish.finish(FINISH_FUNCTION)
+    if program.finish:
+        finish = _BlockEmitter(program, module)
+        finish.body(program.finish)
+        finish.finish(FINISH_FUNCTION)
     write_entries(program, module)
 
 

@@ -1,17 +1,24 @@
-"""The machine code that replays captured steps: one function, the same for every step, that goes through its table."""
+"""The function that replays captured steps, the same for all: it goes through the table of one."""
 
 from __future__ import annotations
 
+from ebb.backends.llvm.entry import AS_WRITTEN
+from ebb.runtime.cpu import LAUNCH, SHARE
 from ebb.runtime.replay import (
+    BEHIND,
     BLOCK,
     BUFFERS,
     BYTES,
-    CODE,
     COUNT,
     DRAWN,
     FAILED,
+    FIRST,
+    FORK_BY,
     KIND,
+    LAUNCHES,
     LEFT,
+    NUMBER,
+    NUMBERS,
     OPERATION_WORDS,
     OPERATIONS,
     PLACE_COUNT,
@@ -21,30 +28,70 @@ from ebb.runtime.replay import (
     RIGHT,
     RUNS,
     SOURCE,
+    TABLE,
     TARGET,
+    TEAM,
+    TURN,
+    TURN_WORDS,
+    TURNS,
+    WHAT,
     Kind,
 )
 
 
-def _word(name: str, base: str, number: int | str, type_: str = "i64") -> str:
+def word(name: str, base: str, number: int | str, type_: str = "i64") -> str:
     """Loads a word of the array ``base`` as ``name``; ``%name.at`` is where it lies."""
     place = f"%{name}.at = getelementptr inbounds i64, ptr %{base}, i64 {number}"
     return f"{place}\n  %{name} = load {type_}, ptr %{name}.at"
 
 
-REPLAY_MODULE = f"""
+REPLAY_FUNCTION = f"""
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 
-define i64 @{REPLAY}(ptr %state) nounwind {{
+define internal void @ebb.turns(ptr %what) {AS_WRITTEN} {{
 entry:
-  {_word("operations", "state", OPERATIONS, "ptr")}
-  {_word("count", "state", COUNT)}
-  {_word("buffers", "state", BUFFERS, "ptr")}
+  {word("turns", "what", TURNS)}
+  {word("table", "what", TABLE, "ptr")}
+  {word("launches", "what", LAUNCHES, "ptr")}
+  %turn.at = getelementptr inbounds i64, ptr %what, i64 {TURN}
+  br label %take
+
+take:
+  %turn = atomicrmw add ptr %turn.at, i64 1 monotonic
+  %left = icmp ult i64 %turn, %turns
+  br i1 %left, label %begin, label %done
+
+begin:
+  %offset = mul i64 %turn, {TURN_WORDS}
+  %words = getelementptr inbounds i64, ptr %table, i64 %offset
+  {word("first", "words", FIRST)}
+  {word("behind", "words", BEHIND)}
+  {word("number", "words", NUMBER)}
+  {word("numbers", "words", NUMBERS)}
+  br label %launch
+
+launch:
+  %this = phi i64 [ %first, %begin ], [ %following, %launch ]
+  {word("block", "launches", "%this", "ptr")}
+  call void @{SHARE}(ptr %block, i64 %number, i64 %numbers)
+  %following = add i64 %this, 1
+  %more = icmp ult i64 %following, %behind
+  br i1 %more, label %launch, label %take
+
+done:
+  ret void
+}}
+
+define i64 @{REPLAY}(ptr %state) {AS_WRITTEN} {{
+entry:
+  {word("operations", "state", OPERATIONS, "ptr")}
+  {word("count", "state", COUNT)}
+  {word("buffers", "state", BUFFERS, "ptr")}
   %drawn.at = getelementptr inbounds i64, ptr %state, i64 {DRAWN}
   br label %run
 
 run:
-  {_word("runs", "state", RUNS)}
+  {word("runs", "state", RUNS)}
   %over = icmp eq i64 %runs, 0
   br i1 %over, label %done, label %operation
 
@@ -52,18 +99,18 @@ operation:
   %number = phi i64 [ 0, %run ], [ %number.next, %next ]
   %first = mul i64 %number, {OPERATION_WORDS}
   %words = getelementptr inbounds i64, ptr %operations, i64 %first
-  {_word("kind", "words", KIND)}
+  {word("kind", "words", KIND)}
   switch i64 %kind, label %launch [
     i64 {Kind.SWAP:d}, label %swap
     i64 {Kind.COPY:d}, label %copy
     i64 {Kind.DRAW:d}, label %draw
+    i64 {Kind.TOGETHER:d}, label %together
   ]
 
 launch:
-  {_word("code", "words", CODE, "ptr")}
-  {_word("block", "words", BLOCK, "ptr")}
-  {_word("places", "words", PLACES, "ptr")}
-  {_word("place.count", "words", PLACE_COUNT)}
+  {word("block", "words", BLOCK, "ptr")}
+  {word("places", "words", PLACES, "ptr")}
+  {word("place.count", "words", PLACE_COUNT)}
   br label %place
 
 place:
@@ -73,17 +120,17 @@ place:
 
 put:
   %pair = shl i64 %place.number, 1
-  {_word("word", "places", "%pair")}
+  {word("word", "places", "%pair")}
   %second = or disjoint i64 %pair, 1
-  {_word("field", "places", "%second")}
-  {_word("buffer", "buffers", "%field")}
+  {word("field", "places", "%second")}
+  {word("buffer", "buffers", "%field")}
   %put.at = getelementptr inbounds i64, ptr %block, i64 %word
   store i64 %buffer, ptr %put.at
   %place.next = add i64 %place.number, 1
   br label %place
 
 random:
-  {_word("random.word", "words", RANDOM_WORD)}
+  {word("random.word", "words", RANDOM_WORD)}
   %draws = icmp sge i64 %random.word, 0
   br i1 %draws, label %key, label %call
 
@@ -97,7 +144,11 @@ key:
   br label %call
 
 call:
-  %result = call i64 %code(ptr %block)
+  %runs.later = icmp eq i64 %kind, {Kind.PLACE:d}
+  br i1 %runs.later, label %next, label %run.code
+
+run.code:
+  %result = call i64 @{LAUNCH}(ptr %block)
   %bad = icmp ne i64 %result, 0
   br i1 %bad, label %failed, label %next
 
@@ -107,18 +158,18 @@ failed:
   ret i64 1
 
 swap:
-  {_word("left", "words", LEFT)}
-  {_word("right", "words", RIGHT)}
-  {_word("left.buffer", "buffers", "%left")}
-  {_word("right.buffer", "buffers", "%right")}
+  {word("left", "words", LEFT)}
+  {word("right", "words", RIGHT)}
+  {word("left.buffer", "buffers", "%left")}
+  {word("right.buffer", "buffers", "%right")}
   store i64 %left.buffer, ptr %right.buffer.at
   store i64 %right.buffer, ptr %left.buffer.at
   br label %next
 
 copy:
-  {_word("target", "words", TARGET, "ptr")}
-  {_word("source", "words", SOURCE, "ptr")}
-  {_word("bytes", "words", BYTES)}
+  {word("target", "words", TARGET, "ptr")}
+  {word("source", "words", SOURCE, "ptr")}
+  {word("bytes", "words", BYTES)}
   call void @llvm.memcpy.p0.p0.i64(ptr %target, ptr %source, i64 %bytes, i1 false)
   br label %next
 
@@ -126,6 +177,24 @@ draw:
   %drawn = load i64, ptr %drawn.at
   %drawn.more = add i64 %drawn, 1
   store i64 %drawn.more, ptr %drawn.at
+  br label %next
+
+together:
+  {word("what", "words", WHAT, "ptr")}
+  {word("fork", "words", FORK_BY, "ptr")}
+  {word("team", "words", TEAM)}
+  %first.turn.at = getelementptr inbounds i64, ptr %what, i64 {TURN}
+  store i64 0, ptr %first.turn.at
+  %alone = icmp ule i64 %team, 1
+  br i1 %alone, label %serial, label %parallel
+
+serial:
+  call void @ebb.turns(ptr %what)
+  br label %next
+
+parallel:
+  %threads = trunc i64 %team to i32
+  call void %fork(ptr @ebb.turns, ptr %what, i32 %threads, i32 0)
   br label %next
 
 next:
