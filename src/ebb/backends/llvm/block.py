@@ -165,20 +165,9 @@ class _BlockEmitter(StatementEmitter):
             else:
                 self.count(index[d], *self.bounds(d), loop.body, metadata)
             return
-        head, turn, done = (self.w.fresh(stem) for stem in ("head", "line", "done"))
-        before, following = self.w.label, f"%{self.w.fresh('next')}"
-        latch = self.w.fresh("latch")
-        self.w.branch(head)
-        self.w.start(head)
-        name = self.temps[index[d].number] = self.w.emit(f"phi i64 [ %low{d}, %{before} ], [ {following}, %{latch} ]")
-        self.w.branch_if(self.w.emit(f"icmp slt i64 {name}, %high{d}"), turn, done)
-        self.w.start(turn)
-        self.row_nest(loop, d + 1, metadata, streaming)
-        self.w.branch(latch)
-        self.w.start(latch)
-        self.w.do(f"{following} = add nsw i64 {name}, 1")
-        self.w.branch(head)
-        self.w.start(done)
+        with self.w.loop(*self.bounds(d)) as turn:
+            self.temps[index[d].number] = turn.counter
+            self.row_nest(loop, d + 1, metadata, streaming)
 
     # ---- Failures ----
 

@@ -68,19 +68,9 @@ def emit_joined(e: Emitter, loop: lir.RowLoop, joined: Joined) -> None:
     count = choose(e, are_close, w.emit(f"sub i64 {last}, {first}"), "1")
     others = w.emit(f"sub i64 {count}, 1")
     end = w.emit(f"add i64 {high}, {w.emit(f'mul i64 {others}, {length}')}")
-    head, turn, done = (w.fresh(stem) for stem in ("head", "lines", "done"))
-    before, following, latch = w.label, f"%{w.fresh('next')}", w.fresh("latch")
-    w.branch(head)
-    w.start(head)
-    line = e.temps[index[-2].number] = w.emit(f"phi i64 [ {first}, %{before} ], [ {following}, %{latch} ]")
-    w.branch_if(w.emit(f"icmp slt i64 {line}, {last}"), turn, done)
-    w.start(turn)
-    _emit_lines(e, loop, joined, length, (low, end))
-    w.branch(latch)
-    w.start(latch)
-    w.do(f"{following} = add nsw i64 {line}, {count}")
-    w.branch(head)
-    w.start(done)
+    with w.loop(first, last, count) as lines:
+        e.temps[index[-2].number] = lines.counter
+        _emit_lines(e, loop, joined, length, (low, end))
 
 
 def _emit_lines(e: Emitter, loop: lir.RowLoop, joined: Joined, length: str, rows: tuple[str, str]) -> None:

@@ -15,7 +15,7 @@ from ebb.backends.llvm.fit import is_failure
 from ebb.backends.llvm.lane_ops import MASK, NUMBERS, LaneWriter, identity, suffix, wide, wide_type
 from ebb.backends.llvm.strips import PlaceKey, RowLoad, StripPlan, Sum, Update
 from ebb.backends.llvm.transpose import LANES, transposed, width_of
-from ebb.backends.llvm.writer import FunctionWriter
+from ebb.backends.llvm.writer import Carried, FunctionWriter
 from ebb.compiler import lir
 from ebb.records import record
 from ebb.types.types import Kind, ScalarType
@@ -99,27 +99,19 @@ class _Strip:
         start, stop = e.value(loop.start), e.value(loop.stop)
         for let in self.plan.early:
             e.temps[let.temp.number] = e.operation(let.operation, let.temp)
-        head, strip, latch, done, end = (w.fresh(stem) for stem in ("head", "strip", "latch", "done", "end"))
-        before, following = w.label, f"%{w.fresh('next')}"
-        grown = {key: f"%{w.fresh('grown')}" for key in self.plan.sums}
+        some, end = w.fresh("some"), w.fresh("end")
         # Without turns nothing is stored either: rows that run at once may have that place in common.
-        w.branch_if(w.emit(f"icmp slt i64 {start}, {stop}"), head, end)
-        w.start(head)
-        self.turn = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{latch} ]")
-        entered = {key: self.entered(sum_, before, grown[key], latch) for key, sum_ in self.plan.sums.items()}
-        w.branch_if(w.emit(f"icmp slt i64 {self.turn}, {stop}"), strip, done)
-        w.start(strip)
-        self.sums = dict(entered)
-        self.open_strip(stop)
-        self.body(loop.body)
-        w.branch(latch)
-        w.start(latch)
-        for key, sum_ in self.plan.sums.items():
-            t = wide_type(sum_.place.type)
-            w.do(f"{grown[key]} = select {MASK} {self.mask}, {t} {self.sums[key]}, {t} {entered[key]}")
-        w.do(f"{following} = add nsw i64 {self.turn}, {LANES}")
-        w.do(f"br label %{head}{metadata}")
-        w.start(done)
+        w.branch_if(w.emit(f"icmp slt i64 {start}, {stop}"), some, end)
+        w.start(some)
+        carried = {key: self.carried(sum_) for key, sum_ in self.plan.sums.items()}
+        with w.loop(start, stop, LANES, metadata, carried=tuple(carried.values()), label="strip") as strip:
+            self.turn, entered = strip.counter, dict(zip(carried, strip.carried, strict=True))
+            self.sums = dict(entered)
+            self.open_strip(stop)
+            self.body(loop.body)
+            for key, each in carried.items():
+                new, old = (f"{each.type} {lanes[key]}" for lanes in (self.sums, entered))
+                w.do(f"{each.last} = select {MASK} {self.mask}, {new}, {old}")
         for key, sum_ in self.plan.sums.items():
             total = self.v.reduce(sum_.op, sum_.place.type, entered[key])
             e.add_to(sum_.place, e.value(sum_.index), sum_.op, total)
@@ -130,11 +122,10 @@ class _Strip:
             w.branch(end)
         w.start(end)
 
-    def entered(self, sum_: Sum, before: str, grown: str, latch: str) -> str:
-        """The lanes of a sum at the start of a strip."""
+    def carried(self, sum_: Sum) -> Carried:
+        """The lanes of a sum, which strips hand on."""
         scalar = sum_.place.type
-        nothing = identity(sum_.op, scalar)
-        return self.w.emit(f"phi {wide_type(scalar)} [ {nothing}, %{before} ], [ {grown}, %{latch} ]")
+        return Carried(wide_type(scalar), identity(sum_.op, scalar), f"%{self.w.fresh('grown')}")
 
     def open_strip(self, stop: str) -> None:
         """The mask of the strip, and how far ahead of the first turn each lane is: not at all beyond the end."""

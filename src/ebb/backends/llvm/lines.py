@@ -44,29 +44,19 @@ def emit_line(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     assert loop.inside is not None
     low, high = e.bounds(len(loop.index) - 1)
     first, last = _inner(e, loop, low, high)
-    part, head, turn, latch, done = (e.w.fresh(stem) for stem in ("part", "head", "turn", "latch", "done"))
-    before = e.w.label
-    e.w.branch(head)
-    e.w.start(head)
-    following = f"%{e.w.fresh('next')}"
-    number = e.w.emit(f"phi i64 [ 0, %{before} ], [ {following}, %{latch} ]")
-    e.w.branch_if(e.w.emit(f"icmp ult i64 {number}, 3"), turn, done)
-    e.w.start(turn)
-    is_first, inner = (e.w.emit(f"icmp eq i64 {number}, {k}") for k in (0, 1))
-    start = choose(e, is_first, low, choose(e, inner, first, last))
-    stop = choose(e, is_first, first, choose(e, inner, last, high))
-    near = e.w.fresh("near")
-    e.w.branch_if(inner, part, near)
-    e.w.start(part)
-    e.count(loop.index[-1], start, stop, loop.inside.body, metadata)
-    e.w.branch(latch)
-    e.w.start(near)
-    e.count(loop.index[-1], start, stop, loop.body, e.loop_notes(*FEW_TURNS))
-    e.w.branch(latch)
-    e.w.start(latch)
-    e.w.do(f"{following} = add nuw i64 {number}, 1")
-    e.w.branch(head)
-    e.w.start(done)
+    with e.w.loop("0", "3") as part:
+        is_first, is_inner = (e.w.emit(f"icmp eq i64 {part.counter}, {k}") for k in (0, 1))
+        start = choose(e, is_first, low, choose(e, is_inner, first, last))
+        stop = choose(e, is_first, first, choose(e, is_inner, last, high))
+        inner, near, end = (e.w.fresh(stem) for stem in ("inner", "near", "end"))
+        e.w.branch_if(is_inner, inner, near)
+        e.w.start(inner)
+        e.count(loop.index[-1], start, stop, loop.inside.body, metadata)
+        e.w.branch(end)
+        e.w.start(near)
+        e.count(loop.index[-1], start, stop, loop.body, e.loop_notes(*FEW_TURNS))
+        e.w.branch(end)
+        e.w.start(end)
 
 
 def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
@@ -77,21 +67,11 @@ def emit_streaming(e: Emitter, loop: lir.RowLoop, metadata: str) -> None:
     low, high = e.bounds(len(loop.index) - 1)
     buffers = _buffers(e, streaming)
     offset = w.emit(f"sub i64 {value_at(e, _body(loop), index, streaming.written[0].row, low)}, {low}")
-    head, turn, done = (w.fresh(stem) for stem in ("head", "stretch", "done"))
-    before, following, latch = w.label, f"%{w.fresh('next')}", w.fresh("latch")
-    w.branch(head)
-    w.start(head)
-    start = w.emit(f"phi i64 [ {low}, %{before} ], [ {following}, %{latch} ]")
-    w.branch_if(w.emit(f"icmp slt i64 {start}, {high}"), turn, done)
-    w.start(turn)
-    aligned = line_start(e, start, offset, TOGETHER)
-    stop = least(e, w.emit(f"add nsw i64 {aligned}, {STRETCH}"), high)
-    _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
-    w.branch(latch)
-    w.start(latch)
-    w.do(f"{following} = add nsw i64 {stop}, 0")
-    w.branch(head)
-    w.start(done)
+    with w.loop(low, high) as stretch:
+        start, aligned = stretch.counter, line_start(e, stretch.counter, offset, TOGETHER)
+        stop = least(e, w.emit(f"add nsw i64 {aligned}, {STRETCH}"), high)
+        _compute(e, loop, buffers, (start, stop), aligned, offset, metadata)
+        stretch.step = w.emit(f"sub nsw i64 {stop}, {start}")
 
 
 # ---- Parts of a line ----
@@ -180,23 +160,14 @@ def _whole(e: Emitter, first: str, last: str, begin: str, stop: str, offset: str
 def _near_ends(e: Emitter, loop: lir.RowLoop, rows: tuple[str, str], first: str, last: str) -> None:
     """The rows of a stretch before ``first`` and from ``last`` on, in one loop."""
     w, (start, stop) = e.w, rows
-    head, turn, latch, done = (w.fresh(stem) for stem in ("head", "turn", "latch", "done"))
-    before, following = w.label, f"%{w.fresh('next')}"
-    w.branch(head)
-    w.start(head)
-    reached = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{latch} ]")
-    inner = w.emit(f"icmp eq i64 {reached}, {first}")
-    row = e.temps[loop.index[-1].number] = choose(e, inner, last, reached)
-    w.branch_if(w.emit(f"icmp slt i64 {row}, {stop}"), turn, done)
-    w.start(turn)
-    group, e.access_group = e.access_group, None
-    e.body(loop.body)
-    e.access_group = group
-    w.branch(latch)
-    w.start(latch)
-    w.do(f"{following} = add nsw i64 {row}, 1")
-    w.do(f"br label %{head}{e.loop_notes(*FEW_TURNS)}")
-    w.start(done)
+    inner = w.emit(f"sub nsw i64 {last}, {first}")
+    with w.loop(start, w.emit(f"sub nsw i64 {stop}, {inner}"), metadata=e.loop_notes(*FEW_TURNS)) as turn:
+        before = w.emit(f"icmp slt i64 {turn.counter}, {first}")
+        behind = w.emit(f"add nsw i64 {turn.counter}, {inner}")
+        e.temps[loop.index[-1].number] = choose(e, before, turn.counter, behind)
+        group, e.access_group = e.access_group, None
+        e.body(loop.body)
+        e.access_group = group
 
 
 # ---- Buffers ----
@@ -220,15 +191,6 @@ def _fetch(e: Emitter, loop: lir.RowLoop, ahead: lir.RowPlace, start: str, stop:
     place = w.emit(f"getelementptr i8, ptr %slot{ahead.slot.number}, i64 {first}")
     place = w.emit(f"getelementptr i8, ptr {place}, i64 {FETCHED_AHEAD}")
     length = w.emit(f"mul i64 {w.emit(f'sub i64 {stop}, {start}')}, {element}")
-    head, turn, done = (w.fresh(stem) for stem in ("head", "fetch", "done"))
-    before, following = w.label, f"%{w.fresh('next')}"
-    w.branch(head)
-    w.start(head)
-    at = w.emit(f"phi i64 [ 0, %{before} ], [ {following}, %{turn} ]")
-    w.branch_if(w.emit(f"icmp slt i64 {at}, {length}"), turn, done)
-    w.start(turn)
-    line = w.emit(f"getelementptr i8, ptr {place}, i64 {at}")
-    w.do(f"call void @llvm.prefetch.p0(ptr {line}, i32 0, i32 2, i32 1)")
-    w.do(f"{following} = add nsw i64 {at}, {_LINE_BYTES}")
-    w.branch(head)
-    w.start(done)
+    with w.loop("0", length, _LINE_BYTES) as turn:
+        line = w.emit(f"getelementptr i8, ptr {place}, i64 {turn.counter}")
+        w.do(f"call void @llvm.prefetch.p0(ptr {line}, i32 0, i32 2, i32 1)")

@@ -9,7 +9,7 @@ of 3 x 3 blocks takes two thirds of the time in the cache, and a tenth less wher
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Protocol, TypeAlias
 
@@ -151,6 +151,7 @@ class Emitter(Protocol):
     """What emits the loop."""
 
     w: FunctionWriter
+    temps: dict[int, str]
     flags: str
     sum_flags: str
 
@@ -174,12 +175,6 @@ class Emitter(Protocol):
         """``place[index] = place[index] op value``."""
         ...
 
-    def count_turns(
-        self, counter: lir.Temp, start: str, stop: str, emit_turn: Callable[[], None], metadata: str = ""
-    ) -> None:
-        """Emits a plain loop."""
-        ...
-
 
 def emit_products(e: Emitter, loop: lir.For, plan: ProductPlan, metadata: str) -> None:
     """Appends ``loop``; the function goes on behind it."""
@@ -187,8 +182,8 @@ def emit_products(e: Emitter, loop: lir.For, plan: ProductPlan, metadata: str) -
     sums = [w.allocate(_register(product)) for product in plan.products]
     for place, product in zip(sums, plan.products, strict=True):
         w.do(f"store {_register(product)} zeroinitializer, ptr {place}")
-
-    def turn() -> None:
+    with w.loop(e.value(loop.start), e.value(loop.stop), metadata=metadata, type_=loop.counter.type) as turn:
+        e.temps[loop.counter.number] = turn.counter
         for stmt in loop.body:
             if isinstance(stmt, lir.Let) and stmt.temp.number not in plan.inner:
                 e.statement(stmt)
@@ -202,8 +197,6 @@ def emit_products(e: Emitter, loop: lir.For, plan: ProductPlan, metadata: str) -
             more = w.emit(f"fmul{e.flags} {t} {loaded[product.left]}, {loaded[product.right]}")
             before = w.emit(f"load {t}, ptr {place}")
             w.do(f"store {t} {w.emit(f'fadd{e.sum_flags} {t} {before}, {more}')}, ptr {place}")
-
-    e.count_turns(loop.counter, e.value(loop.start), e.value(loop.stop), turn, metadata)
     for place, product in zip(sums, plan.products, strict=True):
         t = _register(product)
         lanes = w.emit(f"load {t}, ptr {place}")

@@ -164,55 +164,23 @@ def emit_rare(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, 
     """The innermost loop of ``loop``, from one of ``bounds`` to the other."""
     w, (low, high), counter = e.w, bounds, loop.index[-1]
     w.module.is_vectors = True
-    first, part = _begin(e, low, high, PART)
-    end = w.emit(f"add nsw i64 {first}, {PART}")
-    last = w.emit(f"select i1 {w.emit(f'icmp slt i64 {end}, {high}')}, i64 {end}, i64 {high}")
-    whole = w.emit(f"and i64 {w.emit(f'sub nsw i64 {last}, {first}')}, {-LANES}")
-    rest = w.emit(f"add nsw i64 {first}, {whole}")
-    e.declare(_HAPPENS)
-    _emit_lanes(e, counter, (first, rest), plan.ahead)
-    rest = w.emit(f"select i1 {e.load_var(_HAPPENS, '0')}, i64 {first}, i64 {rest}")
-    _emit_lanes(e, counter, (first, rest), plan.smooth)
-    e.count(counter, rest, last, loop.body, e.loop_notes(*_ONE_BY_ONE))
-    _end(e, part)
+    with w.loop(low, high, PART) as part:
+        first = part.counter
+        end = w.emit(f"add nsw i64 {first}, {PART}")
+        last = w.emit(f"select i1 {w.emit(f'icmp slt i64 {end}, {high}')}, i64 {end}, i64 {high}")
+        whole = w.emit(f"and i64 {w.emit(f'sub nsw i64 {last}, {first}')}, {-LANES}")
+        rest = w.emit(f"add nsw i64 {first}, {whole}")
+        e.declare(_HAPPENS)
+        _emit_lanes(e, counter, (first, rest), plan.ahead)
+        rest = w.emit(f"select i1 {e.load_var(_HAPPENS, '0')}, i64 {first}, i64 {rest}")
+        _emit_lanes(e, counter, (first, rest), plan.smooth)
+        e.count(counter, rest, last, loop.body, e.loop_notes(*_ONE_BY_ONE))
 
 
 def _emit_lanes(e: Emitter, counter: lir.Temp, bounds: tuple[str, str], body: lir.Body) -> None:
     """A loop with ``body``, so many rows at once as there are lanes: their number is a multiple of that."""
-    first, outer = _begin(e, *bounds, LANES)
-    e.temps[_FIRST.number] = first
-    row = lir.Let(counter, lir.Binary("+", _FIRST, _LANE))
-    parallel = f'!"llvm.loop.parallel_accesses", {e.access_group}'
-    e.count(_LANE, "0", str(LANES), (row, *body), e.loop_notes(parallel, _ONCE))
-    _end(e, outer)
-
-
-@record(eq=False)
-class _Outer:
-    """A loop in the writing, by its labels."""
-
-    head: str
-    latch: str
-    done: str
-
-
-def _begin(e: Emitter, low: str, high: str, step: int) -> tuple[str, _Outer]:
-    """Begins a loop from ``low`` on while below ``high``; gives its counter."""
-    w = e.w
-    outer, turn = _Outer(*(w.fresh(stem) for stem in ("head", "latch", "done"))), w.fresh("turn")
-    before, following = w.label, f"%{w.fresh('next')}"
-    w.branch(outer.head)
-    w.start(outer.head)
-    counter = w.emit(f"phi i64 [ {low}, %{before} ], [ {following}, %{outer.latch} ]")
-    w.branch_if(w.emit(f"icmp slt i64 {counter}, {high}"), turn, outer.done)
-    w.start(turn)
-    w.do(f"{following} = add nsw i64 {counter}, {step}")
-    return counter, outer
-
-
-def _end(e: Emitter, outer: _Outer) -> None:
-    w = e.w
-    w.branch(outer.latch)
-    w.start(outer.latch)
-    w.branch(outer.head)
-    w.start(outer.done)
+    with e.w.loop(*bounds, LANES) as turn:
+        e.temps[_FIRST.number] = turn.counter
+        row = lir.Let(counter, lir.Binary("+", _FIRST, _LANE))
+        parallel = f'!"llvm.loop.parallel_accesses", {e.access_group}'
+        e.count(_LANE, "0", str(LANES), (row, *body), e.loop_notes(parallel, _ONCE))

@@ -14,6 +14,7 @@ from ebb.backends.llvm import ops
 from ebb.backends.llvm.shifts import Key, Known, Names
 from ebb.backends.llvm.strides import is_unit
 from ebb.backends.llvm.turns import FETCHED_AHEAD, Emitter
+from ebb.backends.llvm.writer import Carried
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands
 from ebb.records import record
@@ -179,35 +180,22 @@ class _Registers:
         self.begin(start)
         self.fix_places(start, ahead)
         initial = {key: {at: self.compute(key, at) for at in self.carried(key)} for key in plan.kept}
-        head, turn, latch, done = (w.fresh(stem) for stem in ("head", "turn", "latch", "done"))
-        before, following = w.label, f"%{w.fresh('next')}"
-        latest = {key: {at: f"%{w.fresh('kept')}" for at in values} for key, values in initial.items()}
-        w.branch(head)
-        w.start(head)
-        row = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{latch} ]")
-        phis = {
-            key: {
-                at: w.emit(f"phi {self.type} [ {value}, %{before} ], [ {latest[key][at]}, %{latch} ]")
-                for at, value in values.items()
-            }
+        carried = {
+            (key, at): Carried(self.type, value, f"%{w.fresh('kept')}")
             for key, values in initial.items()
+            for at, value in values.items()
         }
-        w.branch_if(w.emit(f"icmp slt i64 {row}, {stop}"), turn, done)
-        w.start(turn)
-        self.begin(row)
-        for place in ahead:
-            self.fetch(place)
-        self.kept = phis
-        self.take_over()
-        self.store(row, parts)
-        w.branch(latch)
-        w.start(latch)
-        for key, values in latest.items():
-            for at, name in values.items():
-                w.do(f"{name} = bitcast {self.type} {self.kept[key][at + plan.lanes]} to {self.type}")
-        w.do(f"{following} = add nsw i64 {row}, {plan.lanes}")
-        w.do(f"br label %{head}{metadata}")
-        w.start(done)
+        with w.loop(start, stop, plan.lanes, metadata, carried=tuple(carried.values())) as turn:
+            self.begin(turn.counter)
+            for place in ahead:
+                self.fetch(place)
+            self.kept = {key: {} for key in initial}
+            for (key, at), name in zip(carried, turn.carried, strict=True):
+                self.kept[key][at] = name
+            self.take_over()
+            self.store(turn.counter, parts)
+            for (key, at), each in carried.items():
+                w.do(f"{each.last} = bitcast {self.type} {self.kept[key][at + plan.lanes]} to {self.type}")
         w.branch(none)
         w.start(none)
 

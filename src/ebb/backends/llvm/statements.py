@@ -7,7 +7,7 @@ What a row loop, a failure and a variable of a group are differs between a threa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from ebb.backends.llvm import atomics, ops
 from ebb.backends.llvm.hooks import Strips
@@ -250,27 +250,9 @@ class StatementEmitter(ABC):
 
     def count(self, counter: lir.Temp, start: str, stop: str, body: lir.Body, metadata: str = "") -> None:
         """A loop whose turns are counted, with ``metadata`` at its end."""
-        self.count_turns(counter, start, stop, lambda: self.body(body), metadata)
-
-    def count_turns(
-        self, counter: lir.Temp, start: str, stop: str, emit_turn: Callable[[], None], metadata: str = ""
-    ) -> None:
-        """The same of turns that ``emit_turn`` emits."""
-        head, turn, latch, done = (self.w.fresh(stem) for stem in ("head", "turn", "latch", "done"))
-        t, before, following = ops.llvm_type(counter.type), self.w.label, f"%{self.w.fresh('next')}"
-        self.w.branch(head)
-        self.w.start(head)
-        name = self.w.emit(f"phi {t} [ {start}, %{before} ], [ {following}, %{latch} ]")
-        self.temps[counter.number] = name
-        self.w.branch_if(ops.compare(self.w, "<", counter.type, name, stop), turn, done)
-        self.w.start(turn)
-        emit_turn()
-        self.w.branch(latch)
-        self.w.start(latch)
-        # It is below stop here, so that one more does not overflow.
-        self.w.do(f"{following} = add {'nsw' if counter.type.name.startswith('i') else 'nuw'} {t} {name}, 1")
-        self.w.do(f"br label %{head}{metadata}")
-        self.w.start(done)
+        with self.w.loop(start, stop, metadata=metadata, type_=counter.type) as turn:
+            self.temps[counter.number] = turn.counter
+            self.body(body)
 
     # ---- What threads and groups do each in their own way ----
 

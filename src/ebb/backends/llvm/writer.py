@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 
 from ebb.backends.llvm.hooks import Hooks
+from ebb.records import record
+from ebb.types.types import Kind, ScalarType, int64
 
 VECTORS = "!ebb.vectors"
 """The metadata of a module whose rows are vectors already, so that LLVM need not look for more of them in rows."""
@@ -41,6 +43,30 @@ class ModuleWriter:
         if self.is_vectors:
             parts.append(f"{VECTORS} = !{{}}")
         return "\n".join(parts) + "\n"
+
+
+@record
+class Carried:
+    """A value that turns of a loop hand on.
+
+    Attributes:
+        type: LLVM's.
+        first: what the first turn gets.
+        last: the name under which a turn leaves what the next one gets.
+    """
+
+    type: str
+    first: str
+    last: str
+
+
+@record(frozen=False, eq=False)
+class Turn:
+    """A turn of a loop: its counter, by how much that grows at the end, and what has been carried to the turn."""
+
+    counter: str
+    step: str
+    carried: Sequence[str]
 
 
 class FunctionWriter:
@@ -120,6 +146,39 @@ class FunctionWriter:
         """Begins the basic block ``label``."""
         self._lines.append(f"{label}:")
         self.label = label
+
+    @contextmanager
+    def loop(
+        self, start: str, stop: str, step: int | str = 1, metadata: str = "", type_: ScalarType = int64,
+        carried: Sequence[Carried] = (), label: str = "turn",
+    ) -> Generator[Turn, None, None]:  # fmt: skip
+        """A loop, whose body is what the ``with`` statement appends.
+
+        Args:
+            start: what its counter begins with.
+            stop: what the counter is below in each turn; ``step`` more does not overflow.
+            step: by how much it grows, unless the turn says otherwise.
+            metadata: of the branch that closes the loop.
+            type_: that of the counter, an integer.
+            carried: what turns hand on.
+            label: of its body, but for a number.
+        """
+        head, turn, latch, done = (self.fresh(stem) for stem in ("head", label, "latch", "done"))
+        before, following, t = self.label, f"%{self.fresh('next')}", f"i{type_.bits}"
+        test, wraps = ("slt", "nsw") if type_.kind is Kind.SIGNED else ("ult", "nuw")
+        self.branch(head)
+        self.start(head)
+        counter = self.emit(f"phi {t} [ {start}, %{before} ], [ {following}, %{latch} ]")
+        values = [self.emit(f"phi {of.type} [ {of.first}, %{before} ], [ {of.last}, %{latch} ]") for of in carried]
+        self.branch_if(self.emit(f"icmp {test} {t} {counter}, {stop}"), turn, done)
+        self.start(turn)
+        here = Turn(counter, str(step), values)
+        yield here
+        self.branch(latch)
+        self.start(latch)
+        self.do(f"{following} = add {wraps} {t} {counter}, {here.step}")
+        self.do(f"br label %{head}{metadata}")
+        self.start(done)
 
     def finish(self, header: str) -> None:
         """Adds the function to the module. Its last basic block has been ended."""
