@@ -1,4 +1,4 @@
-"""Fourier transforms where the fields are: on an OpenCL device, by reikna, in the device's own memory.
+"""Fourier transforms where the fields are: in the memory of a device, by reikna on opencl and by cuFFT on cuda.
 
 reikna's transforms are of complex numbers. Those along rows read a field of reals as such, and keep half of what comes
 out, the rest being its conjugates; back, they read the conjugates too, and keep the real part. So fields are all that
@@ -6,11 +6,15 @@ is read and written, in order with the kernels on the queue of these, and nothin
 the library has memory of its own only where the length of a row or a column is no power of two, or is a large one.
 
 The library comes with ``pip install ebblang[fft]``. The first transforms of a process compile for a second or two.
+
+cuFFT has transforms of reals in two dimensions, which go from one field to the other. It is called by nvmath-python,
+NVIDIA's own package, on the stream that kernels go to (``pip install ebblang[cufft]``).
 """
 
 from __future__ import annotations
 
 import warnings
+import weakref
 from importlib.util import find_spec
 from typing import Any
 
@@ -20,17 +24,27 @@ import ebb
 import ebb.interop
 
 
-def installed() -> bool:
-    """Whether the library is there."""
-    return find_spec("reikna") is not None
+def transforms_on(backend: str) -> DeviceTransforms | CudaTransforms | None:
+    """Transforms in the memory of the backend's device, or None if there is no library for it."""
+    if backend == "opencl" and find_spec("reikna") is not None:
+        return DeviceTransforms()
+    if backend == "cuda" and find_spec("nvmath") is not None:
+        try:
+            return CudaTransforms()
+        except RuntimeError:  # nvmath-python comes without cuFFT itself
+            return None
+    return None
 
 
 class DeviceTransforms:
     """Transforms of real fields on a square grid, as ``fluids_fft.Transforms`` makes them on the host.
 
     Attributes:
+        package: what transforms.
         memory: what the library has read and written, by the path of the field: OpenCL's handles of the memory.
     """
+
+    package = "reikna"
 
     def __init__(self) -> None:
         """Nothing is compiled before the first transform."""
@@ -106,6 +120,84 @@ class _Programs:
             self.rows_forward = forward.compile(thread)
             self.columns = columns.compile(thread)
             self.rows_inverse = inverse.compile(thread)
+
+
+@ebb.kernel
+def scale(c, name: str, share: ebb.float32):
+    c[name] *= share
+
+
+class CudaTransforms:
+    """The same by cuFFT, on the device of the backend ``cuda``.
+
+    Attributes:
+        package: what transforms.
+        memory: what the library has read and written, by the path of the field: addresses on the device.
+    """
+
+    package = "cuFFT"
+
+    def __init__(self) -> None:
+        """No plan is made before the first transform.
+
+        Raises:
+            RuntimeError: cuFFT, or the driver, cannot be loaded.
+        """
+        from nvmath.bindings import cufft
+
+        cufft.get_version()
+        self.memory = dict[str, int]()
+        self._cufft = cufft
+        self._plans = dict[tuple[int, Any], int]()
+        weakref.finalize(self, _destroy, cufft, self._plans)
+
+    def forward(self, field: ebb.Field, spectrum: ebb.Field) -> None:
+        """Set ``spectrum`` to the transform of ``field``."""
+        values = ebb.interop.cuda_array(field)
+        with ebb.interop.cuda_array(spectrum, write=True) as pairs:
+            plan = self._plan(values, self._cufft.Type.R2C)
+            self._cufft.exec_r2c(plan, self._place(field, values), self._place(spectrum, pairs))
+
+    def inverse(self, spectrum: ebb.Field, field: ebb.Field) -> None:
+        """Set ``field`` to the inverse transform of ``spectrum``, whose values are lost."""
+        with (
+            ebb.interop.cuda_array(spectrum, write=True) as pairs,
+            ebb.interop.cuda_array(field, write=True) as values,
+        ):
+            plan = self._plan(values, self._cufft.Type.C2R)
+            self._cufft.exec_c2r(plan, self._place(spectrum, pairs), self._place(field, values))
+        scale(field.relation, field.name, 1 / field.relation.size)  # cuFFT's are not normalised
+
+    def _plan(self, values: Any, kind: Any) -> int:
+        """A plan for n x n reals, on the stream of Ebb's kernels. The device is made the current one of cuFFT."""
+        from cuda.bindings import runtime
+
+        _, number = values.__dlpack_device__()
+        (status,) = runtime.cudaSetDevice(number)
+        if status:
+            raise RuntimeError(f"the device {number} cannot be used: {status.name}")
+        n = values.shape[0]
+        if (n, kind) not in self._plans:
+            plan = self._plans[n, kind] = self._cufft.create()
+            self._cufft.make_plan2d(plan, n, n, kind)
+            self._cufft.set_stream(plan, runtime.cudaStreamLegacy)
+        return self._plans[n, kind]
+
+    def _place(self, field: ebb.Field, view: Any) -> int:
+        """Where the entries lie, one after the other as cuFFT takes them."""
+        interface = view.__cuda_array_interface__
+        packed = [view.dtype.itemsize]
+        for extent in view.shape[:0:-1]:
+            packed.insert(0, packed[0] * extent)
+        if tuple(interface["strides"]) != tuple(packed):
+            raise ValueError(f"{field.path} does not lie in rows")
+        self.memory[field.path] = interface["data"][0]
+        return self.memory[field.path]
+
+
+def _destroy(cufft: Any, plans: dict[tuple[int, Any], int]) -> None:
+    for plan in plans.values():
+        cufft.destroy(plan)
 
 
 # How they read and write, in reikna's language.

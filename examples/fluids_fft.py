@@ -12,7 +12,7 @@ form of "A Simple Fluid Solver based on the FFT", 2001, with the constants of th
    the wave is taken out. The transform back gives the new velocity;
 5. particles, one a cell to begin with, move with the velocity of the cell that they are in.
 
-The transforms are NumPy's and SciPy's, or those of ``device_transforms.py`` on opencl if there is a library for it.
+The transforms are NumPy's and SciPy's, or those of ``device_transforms.py`` on devices if there is a library for them.
 They read the memory of fields and write the memory of fields: rows go from ``cells`` to ``frequencies`` and back,
 columns are transformed where they lie, and nothing is copied. A cell takes 32 bytes: two components of its velocity,
 now and carried on, as much among frequencies, and a position.
@@ -36,9 +36,8 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-import device_transforms
 import ebb
-from device_transforms import DeviceTransforms
+from device_transforms import CudaTransforms, DeviceTransforms, transforms_on
 from ebb.domains import Grid2D, Particles
 from grid_particles import save_moments
 from outputs import save_arrays, why_unwritable
@@ -137,7 +136,7 @@ class Fluid:
         dt: float = DT,
         threads: int = 1,
         seed: int = 0,
-        transforms: Transforms | DeviceTransforms | None = None,
+        transforms: Transforms | DeviceTransforms | CudaTransforms | None = None,
     ) -> None:
         """A fluid at rest on n x n cells, with a particle somewhere in each, by chance.
 
@@ -396,16 +395,16 @@ def run(fluid: Fluid, record: Record, steps: int, force: float, console: Console
     console.print(f"the fastest cell flows at {speed.max():.3f}, the mean at {speed.mean():.3f} sides a second")
 
 
-def transforms_for(backend: str, threads: int) -> Transforms | DeviceTransforms:
+def transforms_for(backend: str, threads: int) -> Transforms | DeviceTransforms | CudaTransforms:
     """Transforms where kernels run, if there is a library for it, and else on the host."""
-    return DeviceTransforms() if backend == "opencl" and device_transforms.installed() else Transforms(threads)
+    return transforms_on(backend) or Transforms(threads)
 
 
 def describe_transforms(fluid: Fluid, backend: str, console: Console) -> None:
     """Tell what has transformed, and where it has read and written."""
     cells, waves, transforms = fluid.grid.cells, fluid.frequencies, fluid.transforms
-    if isinstance(transforms, DeviceTransforms):
-        console.print("transforms by reikna on the device, in the memory of kernels, 0 copies:")
+    if not isinstance(transforms, Transforms):
+        console.print(f"transforms by {transforms.package} on the device, in the memory of kernels, 0 copies:")
     else:
         console.print(
             f"transforms by NumPy along rows, {transforms.package} along columns, {transforms.copies} copies:"
@@ -417,13 +416,13 @@ def describe_transforms(fluid: Fluid, backend: str, console: Console) -> None:
     if isinstance(transforms, Transforms) and backend in ("opencl", "cuda"):
         moved = "velocities and transforms were moved to and from the device at each step"
         console.print(f"  on the host: {moved}", soft_wrap=True)
-        if backend == "opencl":
-            console.print("  with reikna they stay there: pip install ebblang[fft]", markup=False)
+        package, extra = ("reikna", "fft") if backend == "opencl" else ("cuFFT", "cufft")
+        console.print(f"  with {package} they stay there: pip install ebblang[{extra}]", markup=False)
 
 
-def place_of(field: ebb.Field, transforms: Transforms | DeviceTransforms) -> int:
+def place_of(field: ebb.Field, transforms: Transforms | DeviceTransforms | CudaTransforms) -> int:
     """Where the field was transformed: an address, or OpenCL's handle of the memory."""
-    return transforms.memory[field.path] if isinstance(transforms, DeviceTransforms) else address(field.view())
+    return address(field.view()) if isinstance(transforms, Transforms) else transforms.memory[field.path]
 
 
 def processors() -> int:

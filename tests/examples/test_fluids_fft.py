@@ -313,7 +313,7 @@ def test_a_device_transforms_in_the_memory_of_kernels(device, monkeypatch):
 def test_the_program_says_where_it_transforms(monkeypatch):
     require("opencl")
     words = ("--grid", "8", "--steps", "2", "--backend", "opencl")
-    monkeypatch.setattr(fluids_fft.device_transforms, "installed", lambda: False)
+    monkeypatch.setattr(fluids_fft, "transforms_on", lambda backend: None)
     assert "moved to and from the device" in run_program(*words).output
     pytest.importorskip("reikna")
     monkeypatch.undo()
