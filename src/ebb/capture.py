@@ -122,10 +122,13 @@ class Step:
     def _settle(self) -> tuple[object, bool]:
         """Settles the launches until none disturbs another; the epoch of that, and whether it came to it."""
         launches = list(dict.fromkeys([each.launch for each in self._recorded if isinstance(each, _Launched)]))
+        settled_at: dict[Launch, object] = {}
         for _ in range(MOST_PASSES):
             epoch = structure.epoch
             for launch in launches:
-                launch.settle(self._changing)
+                if settled_at.get(launch) is not epoch or not launch.is_decided:
+                    settled_at[launch] = structure.epoch
+                    launch.settle(self._changing)
             if structure.epoch is epoch and all([launch.is_decided for launch in launches]):
                 return epoch, True
         return structure.epoch, False

@@ -20,8 +20,8 @@ from ebb.compiler.pace import pace_of
 from ebb.compiler.phases.residency import overwritten
 from ebb.records import field, record
 from ebb.relations.field import Field
-from ebb.relations.layout import consider_layout
-from ebb.relations.ordering import consider_order
+from ebb.relations.layout import consider_layout, may_convert
+from ebb.relations.ordering import consider_order, may_reorder
 from ebb.relations.reach import Pace, Reach
 from ebb.relations.subset import RowSet
 from ebb.runtime.epoch import structure
@@ -29,7 +29,7 @@ from ebb.runtime.recording import anyone_records, recorder, suspended
 from ebb.runtime.threads import launching
 
 SETTLING_RUNS = 8
-"""The first runs of a launch all settle: by then the storage order and the layout have been decided."""
+"""The first runs of a launch all settle, if there is a choice: by then storage order and layout have been decided."""
 
 
 @record(frozen=False, eq=False)
@@ -82,6 +82,7 @@ class Launch:
 
     __slots__ = (
         "_bound",
+        "_chooses",
         "_epoch",
         "_runs",
         "_set_keys",
@@ -99,6 +100,7 @@ class Launch:
         self._written_values = [each for each in specialisation.written if not each.holds_keys]
         self._written_keys = [each for each in specialisation.written if each.holds_keys]
         self._set_keys = self._keys_set()
+        self._chooses = may_reorder(rows, specialisation.reaches) or may_convert(specialisation.reaches)
         self._bound: Bound | None = None
         self._epoch: object = None
         self._runs = 0
@@ -176,8 +178,8 @@ class Launch:
 
     @property
     def is_decided(self) -> bool:
-        """Whether order and layout are decided, as in the first runs, and what is bound is good for more than one."""
-        return self._runs >= SETTLING_RUNS and not isinstance(self._bound, Once)
+        """Whether order and layout are decided, and what is bound is good for more than one run."""
+        return (not self._chooses or self._runs >= SETTLING_RUNS) and not isinstance(self._bound, Once)
 
     def settle(self, changing: AbstractSet[Field] = frozenset()) -> Bound:
         """Looks at all that the launch relies on besides values, and binds the code to it. Holds ``launching()``.

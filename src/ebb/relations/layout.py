@@ -65,6 +65,11 @@ def consider_layout(rows: RowSet, reaches: tuple[Reach, ...], pace: Callable[[],
         family.convert(*family.members)
 
 
+def may_convert(reaches: tuple[Reach, ...]) -> bool:
+    """Whether ``consider_layout`` may ever convert anything that a launch reaches."""
+    return any([_is_wide(reach.field) for reach in reaches])
+
+
 def _is_wide(field: Field) -> bool:
     return field.type.size >= LEAST_COMPONENTS and not field.holds_keys and field.relation.size >= LEAST_ROWS
 

@@ -113,12 +113,23 @@ def consider_order(
         run: how many times the launch has run before.
         changing: key fields that will be changed before it comes here again.
     """
-    if 2 * rows.size < rows.relation.size:
-        return
     changed = {reach.field for reach in reaches if reach.changed} | changing
-    for route in _routes(reaches):
-        if route.target.size * route.width > CACHED and route.source.size and changed.isdisjoint(route.keys):
+    for route in _worthwhile(rows, reaches):
+        if changed.isdisjoint(route.keys):
             _look(route, run)
+
+
+def may_reorder(rows: RowSet, reaches: tuple[Reach, ...]) -> bool:
+    """Whether ``consider_order`` may ever permute anything for launches on ``rows``."""
+    return any(True for _ in _worthwhile(rows, reaches))
+
+
+def _worthwhile(rows: RowSet, reaches: tuple[Reach, ...]) -> Iterator[Route]:
+    """The routes to so many rows that their order matters."""
+    if 2 * rows.size >= rows.relation.size:
+        for route in _routes(reaches):
+            if route.target.size * route.width > CACHED and route.source.size:
+                yield route
 
 
 def reorder(relation: Relation) -> None:
