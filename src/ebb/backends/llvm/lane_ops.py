@@ -17,6 +17,9 @@ MASK = f"<{LANES} x i1>"
 NUMBERS = f"<{', '.join(f'i32 {k}' for k in range(LANES))}>"
 """The lanes' own numbers."""
 
+NUMBERS_64 = f"<{', '.join(f'i64 {k}' for k in range(LANES))}>"
+"""The same as int64."""
+
 _BITWISE = {"&": "and", "|": "or", "^": "xor"}
 _REDUCTIONS = {
     Kind.FLOAT: {"+": "fadd", "*": "fmul", "min": "fminimum", "max": "fmaximum"},

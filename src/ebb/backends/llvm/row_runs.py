@@ -7,9 +7,8 @@ short runs goes on row by row, as LLVM makes of it; since blocks are the same fo
 
 from __future__ import annotations
 
-from ebb.backends.llvm.lane_ops import MASK, wide
+from ebb.backends.llvm.lane_ops import MASK, NUMBERS_64, wide
 from ebb.backends.llvm.lanes import Emitter, Flags
-from ebb.backends.llvm.row_memory import NUMBERS_64
 from ebb.backends.llvm.row_plan import RowPlan
 from ebb.backends.llvm.row_strips import RowStrips
 from ebb.backends.llvm.row_values import Place

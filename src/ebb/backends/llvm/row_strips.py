@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.fit import is_failure
-from ebb.backends.llvm.lane_ops import LaneWriter, identity, wide, wide_type
+from ebb.backends.llvm.lane_ops import NUMBERS_64, LaneWriter, identity, wide, wide_type
 from ebb.backends.llvm.lanes import Emitter, Flags
-from ebb.backends.llvm.row_memory import NUMBERS_64, RowMemory
+from ebb.backends.llvm.row_memory import RowMemory
 from ebb.backends.llvm.row_plan import RowPlan
 from ebb.backends.llvm.row_skips import assigned, is_left_out
 from ebb.backends.llvm.row_values import Held, Lanes, Place, Same
