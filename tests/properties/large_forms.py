@@ -16,6 +16,9 @@ import ebb
 from .computed import Value, Writer, exact
 from .large_kernels import LEVELS, LargeKernel
 
+_REACH = 2
+"""How far away neighbours are, at most."""
+
 _MOST = 99
 """What a least value begins at."""
 
@@ -25,10 +28,11 @@ class Lines(LargeKernel):
 
     def __init__(self, seed: int, mask: int) -> None:
         draw = np.random.default_rng(seed)
-        shapes = ((9,), (40,), (1300,), (3, 40), (20, 70), (4, 300), (2, 3, 20), (5, 12, 60), (3, 4, 260))
+        shapes = [(9,), (40,), (1300,), (3, 40), (20, 70), (4, 300), (9, 150)]
+        shapes += [(2, 3, 20), (5, 12, 60), (3, 4, 260), (8, 9, 130)]
         shape = tuple(int(draw.integers(max(n // 2, 1), n + 1)) for n in shapes[draw.integers(len(shapes))])
         super().__init__(seed, mask, int(np.prod(shape)))
-        self.shape, self.edge = shape, self.pick(("wrap", "clamp"))
+        self.shape, self.edge = shape, self.pick(("wrap", "clamp", "none"))
         self.relation = self.names["cells"] = ebb.Relation(
             "cells", shape=shape, periodic=(self.edge == "wrap",) * len(shape)
         )
@@ -36,13 +40,26 @@ class Lines(LargeKernel):
         self.at_hand = {value.text[2:]: value for value in (*self.numbers, *self.vectors)}
         self.arithmetic = self.chance(1, 2)
         for _ in range(4):
-            self.leaf(self.neighbor(self.pick("xy" if self.arithmetic else "xyp"), self.offset(2)))
-        self.launch_on(("runs", "halves") if self.chance(1, 3) else ())
+            self.leaf(self.neighbor(self.pick("xy" if self.arithmetic else "xyp"), self.offset(_REACH)))
+        if self.edge == "none":
+            self.launch_inside()
+        else:
+            self.launch_on(("runs", "halves") if self.chance(1, 3) else ())
         if self.arithmetic:
             return self.statements(self.random.randint(2, 4), [self.set_number, self.set_number, self.stencil])
         writers = [self.write, self.set_number, self.stencil] * 2 + [self.write_integer, self.local, self.add_up]
         writers += [self.branch, self.read] * self.pick((0, 0, 1)) + [self.check] * self.pick((0, 0, 4))
         return self.statements(self.random.randint(2, 7), writers)
+
+    def launch_inside(self) -> None:
+        """Chooses a box from which no neighbour leads out of the grid."""
+        low = [self.random.randint(_REACH, _REACH + 2) for _ in self.shape]
+        high = [max(n - self.random.randint(_REACH, _REACH + 2), k) for n, k in zip(self.shape, low, strict=True)]
+        box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        inside = np.zeros(self.shape, dtype=bool)
+        inside[box] = True
+        self.active = inside.ravel()
+        self.launched = self.relation.new_subset("inside", box)
 
     def offset(self, reach: int) -> tuple[int, ...]:
         return tuple(self.random.randint(-reach, reach) for _ in self.shape)
