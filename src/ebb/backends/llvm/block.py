@@ -156,8 +156,10 @@ class _BlockEmitter(StatementEmitter):
             elif loop.inside is not None:
                 emit_line(self, loop, metadata)
             elif (runs := self.runs_of(loop)) is not None:
+                self.module.is_vectors = True
                 emit_runs(self, loop, runs, Flags(self.flags, self.sum_flags), self.bounds(d), metadata)
             elif (strips := self.strips_of(loop)) is not None:
+                self.module.is_vectors = True
                 notes = self.loop_notes(*AS_IT_IS), self.loop_notes(NO_VECTORS)
                 emit_row_strips(self, loop, strips, Flags(self.flags, self.sum_flags), self.bounds(d), notes)
             elif (plan := plan_rare(loop)) is not None:
