@@ -18,6 +18,10 @@ _BAND_BYTES = 128 << 10
 """The bytes of a band in one plane. The three planes of most stencils are then less than half of a second cache."""
 
 
+_BAND_ROWS = 4 * BLOCK_ROWS
+"""The rows of a block of a band. Code for streams takes a while to begin; what it goes through has many blocks."""
+
+
 def tile_boxes(boxes: Sequence[Box], row_bytes: int = 0) -> npt.NDArray[np.int64]:
     """The blocks of ``boxes``: start and stop in each dimension.
 
@@ -28,9 +32,12 @@ def tile_boxes(boxes: Sequence[Box], row_bytes: int = 0) -> npt.NDArray[np.int64
     Returns:
         An array of the shape ``(blocks, ndim, 2)``. A block has about ``BLOCK_ROWS`` rows, which follow one another in
         the order of indices within their box, as blocks do. With ``row_bytes`` a box of three dimensions is gone
-        through in bands, few enough lines of each plane that three planes stay in the second cache.
+        through in bands, few enough lines of each plane that three planes stay in the second cache, in larger blocks.
     """
-    parts = [_tiles(band) for box in boxes if box.size for band in _bands(box, row_bytes)]
+    parts: list[npt.NDArray[np.int64]] = []
+    for box in boxes:
+        rows = _BAND_ROWS if row_bytes and len(box.start) == 3 else BLOCK_ROWS
+        parts += [_tiles(band, rows) for band in _bands(box, row_bytes) if box.size]
     ndim = len(boxes[0].start) if boxes else 1
     return np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, ndim, 2), dtype=np.int64)
 
@@ -56,17 +63,19 @@ def _bands(box: Box, row_bytes: int) -> list[Box]:
     ]
 
 
-def _tiles(box: Box) -> npt.NDArray[np.int64]:
-    sides = [np.arange(start, stop, side) for start, stop, side in zip(box.start, box.stop, _sides(box), strict=True)]
+def _tiles(box: Box, rows: int) -> npt.NDArray[np.int64]:
+    sides = [
+        np.arange(start, stop, side) for start, stop, side in zip(box.start, box.stop, _sides(box, rows), strict=True)
+    ]
     starts = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, len(sides))
-    stops = np.minimum(starts + np.array(_sides(box)), np.array(box.stop))
+    stops = np.minimum(starts + np.array(_sides(box, rows)), np.array(box.stop))
     return np.stack((starts, stops), axis=-1).astype(np.int64)
 
 
-def _sides(box: Box) -> list[int]:
-    """The extents of a block. More than one index of a dimension only where all inner dimensions are whole."""
+def _sides(box: Box, rows: int) -> list[int]:
+    """The extents of a block of ``rows``. More than one index of a dimension only where all inner ones are whole."""
     sides: list[int] = []
-    room = BLOCK_ROWS
+    room = rows
     for start, stop in zip(reversed(box.start), reversed(box.stop), strict=True):
         side = max(1, min(stop - start, room))
         room = room // side if side == stop - start else 1

@@ -9,23 +9,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-from ebb.backends.llvm import ops
-from ebb.backends.llvm.registers import (
-    REGISTER_BYTES,
-    Parts,
-    Registers,
-    emit_registers,
-    only_streams,
-    plan_registers,
-)
-from ebb.backends.llvm.stream import emit_part
-from ebb.backends.llvm.turns import FEW_TURNS, Emitter, choose, least, line_start, most, value_at
+from ebb.backends.llvm.registers import REGISTER_BYTES, Registers, RowRegisters, only_streams, plan_registers
+from ebb.backends.llvm.stream import emit_beginning, emit_end, emit_words
+from ebb.backends.llvm.turns import FEW_TURNS, Emitter, branch_often, choose, least, line_start, value_at
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import values
 from ebb.records import record
-
-_MOST_BETWEEN = 32
-"""The rows between two lines up to which it pays to compute them."""
 
 
 @record
@@ -64,7 +53,10 @@ def emit_joined(e: Emitter, loop: lir.RowLoop, joined: Joined) -> None:
         return
     first, last = e.bounds(len(index) - 2)
     length = value_at(e, loop.body, index[-1], joined.length, low)
-    are_close = w.emit(f"icmp sle i64 {w.emit(f'sub i64 {length}, {width}')}, {_MOST_BETWEEN}")
+    lanes = joined.registers.lanes
+    near = w.emit(f"icmp sle i64 {w.emit(f'sub i64 {length}, {width}')}, {lanes}")
+    long = w.emit(f"icmp sge i64 {width}, {2 * lanes}")
+    are_close = w.emit(f"and i1 {near}, {long}")
     count = choose(e, are_close, w.emit(f"sub i64 {last}, {first}"), "1")
     others = w.emit(f"sub i64 {count}, 1")
     end = w.emit(f"add i64 {high}, {w.emit(f'mul i64 {others}, {length}')}")
@@ -76,60 +68,134 @@ def emit_joined(e: Emitter, loop: lir.RowLoop, joined: Joined) -> None:
 def _emit_lines(e: Emitter, loop: lir.RowLoop, joined: Joined, length: str, rows: tuple[str, str]) -> None:
     """The rows from the first of one line up to the end of another, of which those at ``e.bounds`` of each are stored.
 
-    A line begins ``length`` rows behind the one before. Rows are counted from the coordinate 0 of the first line.
+    A line begins ``length`` rows behind the one before. Rows are counted from the coordinate 0 of the first line. The
+    loop over registers that are whole lines of the cache is left once a line, where it ends, and the next line begins
+    in code of its own: so the same branches are taken in line after line, and processors foresee them. On Zen 4 a
+    27-point stencil on 256^3 cells takes 6.7 ms if the two ends are stored by the same code, and 4.7 so.
     """
-    streaming, plan, w, index = loop.streaming, joined.registers, e.w, loop.index[-1]
+    streaming, w = loop.streaming, e.w
     assert streaming is not None
     (start, stop), (low, high) = rows, e.bounds(len(loop.index) - 1)
     width = w.emit(f"sub i64 {high}, {low}")
-    offset = w.emit(f"sub i64 {value_at(e, loop.body, index, streaming.written[0].row, start)}, {start}")
-    # The first row of the line that is to be stored next, and up to where registers are whole lines of the cache.
-    line, whole = w.allocate("i64"), w.allocate("i64")
-    w.do(f"store i64 {start}, ptr {line}")
-    begin = line_start(e, start, offset, plan.lanes)
-    w.do(f"store i64 {begin}, ptr {whole}")
+    position = value_at(e, loop.body, loop.index[-1], streaming.written[0].row, start)
+    offset = w.emit(f"sub i64 {position}, {start}")
+    lines = _Lines(e, RowRegisters(e, joined.registers, loop.index[-1], streaming.ahead), stop)
+    begin = line_start(e, start, offset, lines.lanes)
+    lines.registers.start(begin)
+    head, part, inner, whole, past, end, done = (
+        w.fresh(stem) for stem in ("line", "part", "inner", "whole", "past", "end", "done")
+    )
+    lines.go_to(begin)
+    w.do(f"store i64 {start}, ptr {lines.first}")
+    w.branch(head)
+    w.start(head)
+    first = w.emit(f"load i64, ptr {lines.first}")
+    last = w.emit(f"add i64 {first}, {width}")
+    w.branch_if(w.emit(f"icmp sgt i64 {first}, {lines.at()}"), part, inner)
+    w.start(part)
+    lines.emit_first(first)
+    w.branch(inner)
+    w.start(inner)
+    bound = line_start(e, last, offset, lines.lanes)
+    w.branch_if(lines.is_left(), whole, done)
+    w.start(whole)
+    row = lines.at()
+    results = lines.registers.turn(row)
+    branch_often(e, w.emit(f"icmp slt i64 {row}, {bound}"), past, end)
+    w.start(past)
+    lines.registers.stream(results)
+    lines.go_to(w.emit(f"add i64 {row}, {lines.lanes}"))
+    w.do(f"br i1 {lines.is_left()}, label %{whole}, label %{done}{e.loop_notes(*FEW_TURNS)}")
+    w.start(end)
+    lines.emit_last(results, last, w.emit(f"add i64 {first}, {length}"))
+    w.branch_if(lines.is_left(), head, done)
+    w.start(done)
 
-    def is_whole(row: str) -> str:
-        bound = w.emit(f"load i64, ptr {whole}")
-        return w.emit(f"icmp slt i64 {row}, {bound}")
 
-    def store(row: str, results: Sequence[tuple[lir.Store, str]]) -> None:
-        moved = [(_on_stack(e, plan, value), e.element(stmt.slot, e.value(stmt.index))) for stmt, value in results]
-        behind = w.emit(f"add i64 {row}, {plan.lanes}")
-        end = least(e, behind, rows[1])
-        part, another, done = (w.fresh(stem) for stem in ("part", "another", "done"))
-        w.branch(part)
-        w.start(part)
-        first = w.emit(f"load i64, ptr {line}")
-        last = w.emit(f"add i64 {first}, {width}")
-        low, high = most(e, row, first), least(e, end, last)
-        words = plan.scalar.bits // 32
-        start, stop = (w.emit(f"mul i64 {w.emit(f'sub i64 {at}, {row}')}, {words}") for at in (low, most(e, low, high)))
-        for buffer, place in moved:
-            emit_part(e, buffer, place, start, stop)
-        following = w.emit(f"add i64 {first}, {length}")
-        w.branch_if(w.emit(f"icmp slt i64 {following}, {end}"), another, done)
-        w.start(another)
-        w.do(f"store i64 {following}, ptr {line}")
-        w.branch(part)
+class _Lines:
+    """Emits what is done where lines begin and end.
+
+    Attributes:
+        first: the address of the first row of the line.
+    """
+
+    def __init__(self, e: Emitter, registers: RowRegisters, stop: str) -> None:
+        self.e, self.w, self.registers, self.stop = e, e.w, registers, stop
+        self.lanes = registers.plan.lanes
+        self.words = registers.plan.scalar.bits // 32
+        self.first, self.row = e.w.allocate("i64"), e.w.allocate("i64")
+
+    def at(self) -> str:
+        """The row with which the next register begins."""
+        return self.w.emit(f"load i64, ptr {self.row}")
+
+    def go_to(self, row: str) -> None:
+        self.w.do(f"store i64 {row}, ptr {self.row}")
+
+    def is_left(self) -> str:
+        """Whether any row is."""
+        return self.w.emit(f"icmp slt i64 {self.at()}, {self.stop}")
+
+    def words_from(self, row: str, other: str) -> str:
+        return self.w.emit(f"mul i64 {self.w.emit(f'sub i64 {other}, {row}')}, {self.words}")
+
+    def emit_first(self, first: str) -> None:
+        """The register in which a line begins, but not with the register."""
+        e, w, row = self.e, self.w, self.at()
+        moved = self.on_stack(self.registers.turn(row))
+        following = w.emit(f"add i64 {row}, {self.lanes}")
+        start, stop = (self.words_from(row, at) for at in (first, least(e, following, self.stop)))
+        to_end, others, done = (w.fresh(stem) for stem in ("toend", "others", "done"))
+        w.branch_if(w.emit(f"icmp sle i64 {following}, {self.stop}"), to_end, others)
+        w.start(to_end)
+        for value, place in moved:
+            emit_end(e, value, place, start)
+        w.branch(done)
+        w.start(others)
+        for value, place in moved:
+            emit_words(e, value, place, start, stop)
+        w.branch(done)
         w.start(done)
-        first = choose(e, w.emit(f"icmp sle i64 {last}, {behind}"), following, first)
-        w.do(f"store i64 {first}, ptr {line}")
-        lines = line_start(e, w.emit(f"add i64 {first}, {width}"), offset, plan.lanes)
-        begun = w.emit(f"icmp sle i64 {first}, {behind}")
-        w.do(f"store i64 {choose(e, begun, lines, behind)}, ptr {whole}")
+        self.go_to(following)
 
-    notes = e.loop_notes(*FEW_TURNS)
-    emit_registers(e, plan, index, (begin, stop), Parts(is_whole, store), streaming.ahead, notes)
+    def emit_last(self, results: Sequence[tuple[lir.Store, str]], last: str, next_: str) -> None:
+        """The register in which a line ends, and in which perhaps the one begins whose first row is ``next_``."""
+        e, w = self.e, self.w
+        row = self.opaque(self.at())
+        self.go_to(row)
+        self.registers.begin(row)
+        moved = self.on_stack(results)
+        for value, place in moved:
+            emit_beginning(e, value, place, self.words_from(row, last))
+        following = w.emit(f"add i64 {row}, {self.lanes}")
+        another, done = w.fresh("another"), w.fresh("done")
+        w.branch_if(w.emit(f"icmp slt i64 {next_}, {least(e, following, self.stop)}"), another, done)
+        w.start(another)
+        for value, place in moved:
+            emit_end(e, value, place, self.words_from(row, next_))
+        w.branch(done)
+        w.start(done)
+        w.do(f"store i64 {next_}, ptr {self.first}")
+        self.go_to(following)
 
+    def opaque(self, number: str) -> str:
+        """The same number, of which LLVM knows nothing: it would count the addresses of each piece in the loop."""
+        place = self.w.allocate("i64")
+        self.w.do(f"store volatile i64 {number}, ptr {place}")
+        return self.w.emit(f"load volatile i64, ptr {place}")
 
-def _on_stack(e: Emitter, plan: Registers, value: str) -> str:
-    """Puts a register into memory, and returns its address. LLVM would keep pieces of it in registers, all of them
-    made before it is known which are stored; so the access is volatile, as that of ``emit_part`` is."""
-    type_ = f"<{plan.lanes} x {ops.llvm_type(plan.scalar)}>"
-    place = e.w.allocate(f"{type_}, align {REGISTER_BYTES}")
-    e.w.do(f"store volatile {type_} {value}, ptr {place}, align {REGISTER_BYTES}")
-    return place
+    def on_stack(self, results: Sequence[tuple[lir.Store, str]]) -> list[tuple[str, str]]:
+        """Puts registers into memory; the addresses of each and of where it belongs.
+
+        LLVM would keep pieces of it in registers, all of them made before it is known which are stored; so the access
+        is volatile, as that of the pieces is.
+        """
+        moved, type_ = list[tuple[str, str]](), self.registers.type
+        for stmt, value in results:
+            place = self.w.allocate(f"{type_}, align {REGISTER_BYTES}")
+            self.w.do(f"store volatile {type_} {value}, ptr {place}, align {REGISTER_BYTES}")
+            moved.append((place, self.e.element(stmt.slot, self.e.value(stmt.index))))
+        return moved
 
 
 def _length(loop: lir.RowLoop) -> lir.Value | None:

@@ -10,13 +10,23 @@ processors foresee that within a line of a grid, but not from line to line. Meas
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from ebb.backends.llvm import ops
-from ebb.backends.llvm.registers import Parts, emit_registers, only_streams, plan_registers, put_rows
+from ebb.backends.llvm.registers import Registers, RowRegisters, only_streams, plan_registers, put_rows
 from ebb.backends.llvm.stream import emit_stream
 from ebb.backends.llvm.strides import is_even
-from ebb.backends.llvm.turns import FETCHED_AHEAD, FEW_TURNS, Emitter, choose, least, line_start, most, value_at
+from ebb.backends.llvm.turns import (
+    FETCHED_AHEAD,
+    FEW_TURNS,
+    Emitter,
+    branch_often,
+    choose,
+    least,
+    line_start,
+    most,
+    value_at,
+)
 from ebb.compiler import lir
 
 STRETCH = 256
@@ -133,19 +143,43 @@ def _compute(
         _near_ends(e, loop, rows, first, last)
         store(rows[0], begin)
         whole = _whole(e, first, last, begin, rows[1], offset)
-
-        def is_whole(row: str) -> str:
-            from_, to = (w.emit(f"icmp {how} i64 {row}, {at}") for how, at in zip(("sge", "slt"), whole, strict=True))
-            return w.emit(f"and i1 {from_}, {to}")
-
-        def keep(row: str, results: Sequence[tuple[lir.Store, str]]) -> None:
-            for stmt, value in results:
-                put_rows(e, plan, value, e.element(stmt.slot, e.value(stmt.index)), row, (first, last))
-            store(row, w.emit(f"add i64 {row}, {plan.lanes}"))
-
-        emit_registers(e, plan, index, (begin, end), Parts(is_whole, keep), streaming.ahead, e.loop_notes(*FEW_TURNS))
+        _in_registers(e, loop, plan, (begin, end), whole, (first, last), store)
         store(end, rows[1])
     e.buffers.clear()
+
+
+def _in_registers(
+    e: Emitter, loop: lir.RowLoop, plan: Registers, rows: tuple[str, str], whole: tuple[str, str],
+    inner: tuple[str, str], store: Callable[[str, str], None],
+) -> None:  # fmt: skip
+    """The rows from the first of ``rows``, where a line of the cache begins, up to the second, in whole registers.
+
+    All are stored in their order, be they whole lines of the cache or not: what is written past the cache to and fro
+    takes longer. Of the latter those that are ``inner`` go into the buffers.
+    """
+    assert loop.streaming is not None
+    w, (start, stop) = e.w, rows
+    registers = RowRegisters(e, plan, loop.index[-1], loop.streaming.ahead)
+    some, past, part, stored, none = (w.fresh(stem) for stem in ("some", "past", "part", "stored", "none"))
+    w.branch_if(w.emit(f"icmp slt i64 {start}, {stop}"), some, none)
+    w.start(some)  # where there are no rows inside, what the first of them would read may lie anywhere
+    registers.start(start)
+    with w.loop(start, stop, plan.lanes, e.loop_notes(*FEW_TURNS)) as turn:
+        row = turn.counter
+        results = registers.turn(row)
+        from_, to = (w.emit(f"icmp {how} i64 {row}, {at}") for how, at in zip(("sge", "slt"), whole, strict=True))
+        branch_often(e, w.emit(f"and i1 {from_}, {to}"), past, part)
+        w.start(past)
+        registers.stream(results)
+        w.branch(stored)
+        w.start(part)
+        for stmt, value in results:
+            put_rows(e, plan, value, e.element(stmt.slot, e.value(stmt.index)), row, inner)
+        store(row, w.emit(f"add i64 {row}, {plan.lanes}"))
+        w.branch(stored)
+        w.start(stored)
+    w.branch(none)
+    w.start(none)
 
 
 def _whole(e: Emitter, first: str, last: str, begin: str, stop: str, offset: str) -> tuple[str, str]:

@@ -8,13 +8,12 @@ by the sums of its faces and corners, loads 9 registers instead of 27, and none 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from ebb.backends.llvm import ops
 from ebb.backends.llvm.shifts import Key, Known, Names
 from ebb.backends.llvm.strides import is_unit
 from ebb.backends.llvm.turns import FETCHED_AHEAD, Emitter
-from ebb.backends.llvm.writer import Carried
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands
 from ebb.records import record
@@ -47,19 +46,6 @@ class Registers:
     def lanes(self) -> int:
         """The rows of a register."""
         return REGISTER_BYTES * 8 // self.scalar.bits
-
-
-@record
-class Parts:
-    """What becomes of registers that are not stored past the cache as they are.
-
-    Attributes:
-        is_whole: emits whether the register that begins with a row is a line of the cache to store past it.
-        store: emits what stores others, given the row, the statements that store, and what each stores.
-    """
-
-    is_whole: Callable[[str], str]
-    store: Callable[[str, Sequence[tuple[lir.Store, str]]], None]
 
 
 def plan_registers(body: lir.Body, counter: lir.Temp) -> Registers | None:
@@ -150,54 +136,50 @@ def _fits(let: lir.Let, scalar: ScalarType, names: Names) -> bool:
             return False
 
 
-def emit_registers(
-    e: Emitter, plan: Registers, counter: lir.Temp, rows: tuple[str, str], parts: Parts,
-    ahead: Sequence[lir.RowPlace], metadata: str,
-) -> None:  # fmt: skip
-    """The rows from the first of ``rows``, where a line of the cache begins, up to the second, in whole registers.
+class RowRegisters:
+    """Emits the calculation of rows in registers: each turn one register, which follows that of the turn before."""
 
-    All are stored in their order, be they whole lines of the cache or parts: what is written past the cache to and fro
-    takes longer. With each register what is ``ahead`` is asked for.
-    """
-    _Registers(e, plan, counter).loop(*rows, parts, ahead, metadata)
-
-
-class _Registers:
-    def __init__(self, e: Emitter, plan: Registers, counter: lir.Temp) -> None:
-        self.e, self.w, self.plan, self.counter = e, e.w, plan, counter
+    def __init__(self, e: Emitter, plan: Registers, counter: lir.Temp, ahead: Sequence[lir.RowPlace]) -> None:
+        self.e, self.w, self.plan, self.counter, self.ahead = e, e.w, plan, counter, ahead
         self.type = f"<{plan.lanes} x {ops.llvm_type(plan.scalar)}>"
         self.kept: dict[Key, dict[int, str]] = {}
         self.computed: dict[tuple[Key, int], str] = {}
         self.invariant: dict[Key, str] = {}
         self.places: dict[tuple[int, lir.Value], str] = {}
         self.row = ""
+        # What is kept from turn to turn, which LLVM puts into registers.
+        self.memory = {(key, at): self.w.allocate(self.type) for key in plan.kept for at in self.carried(key)}
 
-    def loop(self, start: str, stop: str, parts: Parts, ahead: Sequence[lir.RowPlace], metadata: str) -> None:
-        w, plan = self.w, self.plan
-        some, none = w.fresh("some"), w.fresh("none")
-        w.branch_if(w.emit(f"icmp slt i64 {start}, {stop}"), some, none)
-        w.start(some)  # where there are no rows inside, what the first of them would read may lie anywhere
-        self.begin(start)
-        self.fix_places(start, ahead)
-        initial = {key: {at: self.compute(key, at) for at in self.carried(key)} for key in plan.kept}
-        carried = {
-            (key, at): Carried(self.type, value, f"%{w.fresh('kept')}")
-            for key, values in initial.items()
-            for at, value in values.items()
-        }
-        with w.loop(start, stop, plan.lanes, metadata, carried=tuple(carried.values())) as turn:
-            self.begin(turn.counter)
-            for place in ahead:
-                self.fetch(place)
-            self.kept = {key: {} for key in initial}
-            for (key, at), name in zip(carried, turn.carried, strict=True):
-                self.kept[key][at] = name
-            self.take_over()
-            self.store(turn.counter, parts)
-            for (key, at), each in carried.items():
-                w.do(f"{each.last} = bitcast {self.type} {self.kept[key][at + plan.lanes]} to {self.type}")
-        w.branch(none)
-        w.start(none)
+    def start(self, row: str) -> None:
+        """Emits what comes before the first turn, whose register begins with ``row`` and a line of the cache."""
+        self.begin(row)
+        self.fix_places(row)
+        for (key, at), place in self.memory.items():
+            self.w.do(f"store {self.type} {self.compute(key, at)}, ptr {place}")
+
+    def turn(self, row: str) -> list[tuple[lir.Store, str]]:
+        """Emits a turn: what each statement that stores is to store of the register that begins with ``row``.
+
+        What is ``ahead`` of it is asked for.
+        """
+        self.begin(row)
+        for place in self.ahead:
+            self.fetch(place)
+        self.kept = {key: {} for key in self.plan.kept}
+        for (key, at), place in self.memory.items():
+            self.kept[key][at] = self.w.emit(f"load {self.type}, ptr {place}")
+        self.take_over()
+        stores = [stmt for stmt in self.plan.body if isinstance(stmt, lir.Store)]
+        results = [(stmt, self.value(stmt.value, 0, 0)) for stmt in stores]
+        for (key, at), place in self.memory.items():
+            self.w.do(f"store {self.type} {self.kept[key][at + self.plan.lanes]}, ptr {place}")
+        return results
+
+    def stream(self, results: Sequence[tuple[lir.Store, str]]) -> None:
+        """Stores what a turn gave past the cache."""
+        for stmt, value in results:
+            place, note = self.place(stmt.slot, stmt.index, 0), self.e.module.note("!{{i32 1}}")
+            self.w.do(f"store {self.type} {value}, ptr {place}, align {REGISTER_BYTES}, !nontemporal {note}")
 
     def carried(self, key: Key) -> list[int]:
         """Which registers of what is kept are those of the turn before: by the shift of their first row."""
@@ -220,10 +202,10 @@ class _Registers:
         line = self.place(ahead.slot, ahead.row, FETCHED_AHEAD * 8 // ahead.slot.type.bits)
         self.w.do(f"call void @llvm.prefetch.p0(ptr {line}, i32 0, i32 2, i32 1)")
 
-    def fix_places(self, start: str, ahead: Sequence[lir.RowPlace]) -> None:
+    def fix_places(self, start: str) -> None:
         """Emits the addresses of what the row 0 would read and write, from those of ``start``: in the loop all are so
         many rows further, so that a single number is to be counted."""
-        places = [(place.slot, place.row) for place in ahead]
+        places = [(place.slot, place.row) for place in self.ahead]
         for stmt in self.plan.body:
             match stmt:
                 case lir.Let(_, lir.Load(slot, index)) | lir.Store(slot, index):
@@ -254,26 +236,6 @@ class _Registers:
                 if self.plan.names.known[number].shift is None or number in self.plan.names.linear:
                     self.e.statement(stmt)
 
-    def store(self, row: str, parts: Parts) -> None:
-        """Stores a register of each result."""
-        w, e = self.w, self.e
-        stores = [stmt for stmt in self.plan.body if isinstance(stmt, lir.Store)]
-        values = [self.value(stmt.value, 0, 0) for stmt in stores]
-        is_whole = parts.is_whole(row)
-        past, part, end = (w.fresh(stem) for stem in ("past", "part", "end"))
-        weights = e.module.note('!{{!"branch_weights", i32 4000, i32 1}}')  # what is put on the stack is so for parts
-        w.do(f"br i1 {is_whole}, label %{past}, label %{part}, !prof {weights}")
-        w.start(past)
-        for stmt, value in zip(stores, values, strict=True):
-            place = self.place(stmt.slot, stmt.index, 0)
-            note = e.module.note("!{{i32 1}}")
-            w.do(f"store {self.type} {value}, ptr {place}, align {REGISTER_BYTES}, !nontemporal {note}")
-        w.branch(end)
-        w.start(part)
-        parts.store(row, list(zip(stores, values, strict=True)))
-        w.branch(end)
-        w.start(end)
-
     # ---- Values ----
 
     def value(self, value: lir.Value, shift: int, made_for: int) -> str:
@@ -282,7 +244,7 @@ class _Registers:
         if known.shift is not None:
             return self.at(known.key, known.shift + shift - made_for)
         if known.key not in self.invariant:
-            self.invariant[known.key] = self.broadcast(self.e.value(value))
+            self.invariant[known.key] = self._broadcast(self.e.value(value))
         return self.invariant[known.key]
 
     def at(self, key: Key, shift: int) -> str:
@@ -301,17 +263,17 @@ class _Registers:
         """As ``at``, whatever is kept."""
         if (key, shift) not in self.computed:
             let, made_for = self.plan.made[key]
-            self.computed[key, shift] = self.made(let, shift, made_for)
+            self.computed[key, shift] = self._made(let, shift, made_for)
         return self.computed[key, shift]
 
-    def made(self, let: lir.Let, shift: int, made_for: int) -> str:
+    def _made(self, let: lir.Let, shift: int, made_for: int) -> str:
         def part(value: lir.Value) -> str:
             return self.value(value, shift, made_for)
 
         flags, t = self.e.flags, self.type
         match let.operation:
             case lir.Load(slot, index):
-                return self.load(slot, index, shift - made_for)
+                return self._load(slot, index, shift - made_for)
             case lir.Unary(_, operand):
                 return self.w.emit(f"fneg{flags} {t} {part(operand)}")
             case lir.Binary(op, left, right):
@@ -323,11 +285,11 @@ class _Registers:
             case _:
                 raise AssertionError("not planned")
 
-    def load(self, slot: lir.Slot, index: lir.Value, later: int) -> str:
+    def _load(self, slot: lir.Slot, index: lir.Value, later: int) -> str:
         place = self.place(slot, index, later)
         return self.w.emit(f"load {self.type}, ptr {place}, align {plan_align(self.plan)}")
 
-    def broadcast(self, scalar: str) -> str:
+    def _broadcast(self, scalar: str) -> str:
         element, lanes = ops.llvm_type(self.plan.scalar), self.plan.lanes
         one = self.w.emit(f"insertelement {self.type} poison, {element} {scalar}, i64 0")
         return self.w.emit(f"shufflevector {self.type} {one}, {self.type} poison, <{lanes} x i32> zeroinitializer")

@@ -101,39 +101,24 @@ def emit_stream(
         w.do(f"call void @{STREAM_FUNCTION}(ptr {target}, ptr {moved}, i64 {length})")
 
 
-def emit_part(e: Emitter, value: str, place: str, start: str, stop: str) -> None:
-    """Stores the words from ``start`` up to ``stop`` of a line of the cache past it, from memory.
-
-    Parts at the end of the line, at its beginning, and others have code of their own: in that of the first two the same
-    branches are taken in line after line of a grid, so that they are foreseen.
-    """
-    w = e.w
-    end, others, beginning, word, done = (w.fresh(stem) for stem in ("end", "others", "beginning", "word", "done"))
-    w.branch_if(w.emit(f"icmp eq i64 {start}, 0"), beginning, others)
-    w.start(beginning)
+def emit_beginning(e: Emitter, value: str, place: str, stop: str) -> None:
+    """Stores the words up to ``stop`` of a line of the cache past it, from memory."""
     at = "0"
-    for piece in (16, 8, 4, 2, 1):
+    for piece in (8, 4, 2, 1):
         at = _emit_piece(e, value, place, stop, piece, at)
-    w.branch(done)
-    w.start(others)
-    words = _LINE_BYTES // _WORD
-    w.branch_if(w.emit(f"icmp eq i64 {stop}, {words}"), end, word)
-    w.start(end)
-    count, at = w.emit(f"sub i64 {words}, {start}"), start
-    for piece in (1, 2, 4, 8):
+
+
+def emit_end(e: Emitter, value: str, place: str, start: str) -> None:
+    """Stores the words from ``start`` on."""
+    count, at = e.w.emit(f"sub i64 {_LINE_BYTES // _WORD}, {start}"), start
+    for piece in (1, 2, 4, 8, 16):
         at = _emit_piece(e, value, place, count, piece, at)
-    w.branch(done)
-    w.start(word)
-    head, turn, before, following = w.fresh("head"), w.fresh("turn"), w.label, f"%{w.fresh('next')}"
-    w.branch(head)
-    w.start(head)
-    at = w.emit(f"phi i64 [ {start}, %{before} ], [ {following}, %{turn} ]")
-    w.branch_if(w.emit(f"icmp slt i64 {at}, {stop}"), turn, done)
-    w.start(turn)
-    _move(e, value, place, 1, at)
-    w.do(f"{following} = add nsw i64 {at}, 1")
-    w.do(f"br label %{head}{e.loop_notes(*FEW_TURNS)}")
-    w.start(done)
+
+
+def emit_words(e: Emitter, value: str, place: str, start: str, stop: str) -> None:
+    """Stores the words from ``start`` up to ``stop``, one by one."""
+    with e.w.loop(start, stop, metadata=e.loop_notes(*FEW_TURNS)) as word:
+        _move(e, value, place, 1, word.counter)
 
 
 def _emit_piece(e: Emitter, value: str, place: str, count: str, piece: int, at: str) -> str:

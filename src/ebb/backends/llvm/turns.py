@@ -77,6 +77,12 @@ def value_at(e: Emitter, body: lir.Body, counter: lir.Temp, value: lir.Value, tu
     return e.value(value)
 
 
+def branch_often(e: Emitter, condition: str, often: str, seldom: str) -> None:
+    """Ends the basic block with a jump to ``often`` or ``seldom``: what is put on the stack is so for the latter."""
+    weights = e.module.note('!{{!"branch_weights", i32 4000, i32 1}}')
+    e.w.do(f"br i1 {condition}, label %{often}, label %{seldom}, !prof {weights}")
+
+
 # ---- Numbers ----
 
 
