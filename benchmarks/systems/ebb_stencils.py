@@ -14,12 +14,8 @@ ALONE, FACE, EDGE, CORNER = WEIGHTS
 
 @ebb.kernel
 def stencil27(c):
-    c.new = (
-        ALONE * c.old
-        + FACE * (c(0, 0, -1).old + c(0, 0, 1).old + c.faces(0))
-        + EDGE * (c.faces(-1) + c.faces(1) + c.corners(0))
-        + CORNER * (c.corners(-1) + c.corners(1))
-    )
+    middle = ALONE * c.old + FACE * c.faces(0) + EDGE * c.corners(0)
+    c.new = middle + c.side(-1) + c.side(1)
 
 
 @ebb.kernel
@@ -55,6 +51,10 @@ def solid(arrays: Arrays, periodic: bool) -> ebb.Relation:
     @cells.member("corners")
     def corners(c, k):
         return c(-1, -1, k).old + c(-1, 1, k).old + c(1, -1, k).old + c(1, 1, k).old
+
+    @cells.member("side")
+    def side(c, k):
+        return FACE * c(0, 0, k).old + EDGE * c.faces(k) + CORNER * c.corners(k)
 
     return cells
 

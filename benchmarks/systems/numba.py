@@ -125,9 +125,8 @@ def relax27(old, new, w0, w1, w2, w3):
     for i in prange(1, old.shape[0] - 1):
         for j in range(1, old.shape[1] - 1):
             for k in range(1, old.shape[2] - 1):
-                total = w0 * old[i, j, k] + w1 * (old[i, j, k - 1] + old[i, j, k + 1] + faces(old, i, j, k))
-                total += w2 * (faces(old, i, j, k - 1) + faces(old, i, j, k + 1) + corners(old, i, j, k))
-                new[i, j, k] = total + w3 * (corners(old, i, j, k - 1) + corners(old, i, j, k + 1))
+                middle = weighted(old, i, j, k, w0, w1, w2)
+                new[i, j, k] = middle + weighted(old, i, j, k - 1, w1, w2, w3) + weighted(old, i, j, k + 1, w1, w2, w3)
 
 
 @serial
@@ -138,6 +137,11 @@ def faces(old, i, j, k):
 @serial
 def corners(old, i, j, k):
     return old[i - 1, j - 1, k] + old[i - 1, j + 1, k] + old[i + 1, j - 1, k] + old[i + 1, j + 1, k]
+
+
+@serial
+def weighted(old, i, j, k, own, face, edge):
+    return own * old[i, j, k] + face * faces(old, i, j, k) + edge * corners(old, i, j, k)
 
 
 @jit

@@ -12,9 +12,9 @@ extern "C" void stencil27(int64_t n, const float *__restrict old, float *__restr
             const auto corners = [&](int64_t k) {
                 return c[k - n * n - n] + c[k - n * n + n] + c[k + n * n - n] + c[k + n * n + n];
             };
+            const auto side = [&](int64_t k) { return w1 * c[k] + w2 * faces(k) + w3 * corners(k); };
             for (int64_t k = 1; k < n - 1; ++k)
-                out[k] = w0 * c[k] + w1 * (c[k - 1] + c[k + 1] + faces(k)) +
-                         w2 * (faces(k - 1) + faces(k + 1) + corners(k)) + w3 * (corners(k - 1) + corners(k + 1));
+                out[k] = w0 * c[k] + w1 * faces(k) + w2 * corners(k) + side(k - 1) + side(k + 1);
         }
 }
 
