@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from math import isfinite, sqrt
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ from ebb.solvers.options import Options, Preconditioner, check_preconditioner, c
 from ebb.solvers.system import LinearSystem, Product
 
 
-class KrylovSolver:
+class KrylovSolver(ABC):
     """The base of the iterative solvers; what is particular to a method are the kernels of its step.
 
     In kernels ``self._go`` is 1 while the solve goes on. Sums over rows are globals: ``self._product`` of the vector
@@ -140,21 +141,21 @@ class KrylovSolver:
 
     # ---- What a method adds ----
 
+    @abstractmethod
     def _make_kernels(self) -> None:
         """Makes the kernels of the method, and its own globals and fields."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _first_vectors(self) -> None:
         """Launches what makes the vectors of the first step of the residual and what the preconditioner makes of it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _set_out(self) -> None:
         """Launches a kernel on ``steps`` that calls its ``begin``, and sets the scalars of the first iteration."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _step(self) -> None:
         """Launches a step, which ends with a kernel that judges it."""
-        raise NotImplementedError
 
     # ---- What they share ----
 
