@@ -196,3 +196,20 @@ def test_the_name_of_a_subset_is_unique():
     rejects(ebb.RelationError, "E502", lambda: rows.new_subset("x", [0]))
     rows.new_subset("s", [0])
     rejects(ebb.RelationError, "E502", lambda: rows.new_subset("s", [1]))
+
+
+@pytest.mark.parametrize(("failing", "first"), [([(5, 1), (1, 6), (1, 1)], (5, 1)), ([(1, 1), (2, 7), (1, 6)], (1, 6))])
+def test_the_row_that_fails_is_the_first_of_the_first_box(failing, first):
+    cells = ebb.Relation("cells", shape=(8, 8))
+    cells.new_subset("parts", [np.s_[4:8, 0:2], np.s_[0:3, 5:8], np.s_[0:2, 0:3]])
+    bad = np.zeros((8, 8), dtype=bool)
+    for place in failing:
+        bad[place] = True
+    cells.new_field("bad", ebb.bool_, init=bad)
+
+    @ebb.kernel
+    def look(c: cells):
+        assert not c.bad, "it is bad"
+
+    with pytest.raises(ebb.KernelAssertionError, match=rf"cells\[{first[0]}, {first[1]}\]"):
+        look(cells.parts)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from ebb.backends.reference.breakpoint import stop
 from ebb.backends.reference.grids import AffineMap, position_at
@@ -37,7 +38,8 @@ def run(kernel: kir.Kernel, rows: RowSet, uniforms: tuple[Any, ...], order: Sequ
         kernel: a verified kernel whose phases are right.
         rows: the relation of the kernel or a subset of it.
         uniforms: the values of ``kernel.uniforms``, as NumPy values of their types.
-        order: a permutation of ``range(rows.size)``, the order in which to run the rows; storage order by default.
+        order: a permutation of ``range(rows.size)``, the order in which to run the rows; by default storage order, or
+            box after box.
 
     Raises:
         KernelAssertionError: an ``assert`` does not hold.
@@ -45,8 +47,7 @@ def run(kernel: kir.Kernel, rows: RowSet, uniforms: tuple[Any, ...], order: Sequ
         RelationError: an unset key is read.
         KernelTypeError: the step of a range is zero.
     """
-    listed = rows.row_positions()
-    positions = np.arange(rows.size) if listed is None else listed
+    positions = _positions(rows)
     if order is not None:
         positions = positions[np.asarray(order, dtype=np.int64)]
     launch = Launch(kernel, uniforms, random.next_launch() if draws(kernel) else None)
@@ -54,6 +55,15 @@ def run(kernel: kir.Kernel, rows: RowSet, uniforms: tuple[Any, ...], order: Sequ
         for position in positions.tolist():
             Row(launch, position).execute_body(kernel.body)
     launch.finish()
+
+
+def _positions(rows: RowSet) -> npt.NDArray[np.int64]:
+    """The positions of the rows, in the order in which a failure is the first on every backend."""
+    if rows.boxes is not None and len(rows.boxes) > 1:
+        numbers = np.arange(rows.relation.size).reshape(rows.relation.shape)
+        return np.concatenate([numbers[box.slices].ravel() for box in rows.boxes])
+    listed = rows.row_positions()
+    return np.arange(rows.size) if listed is None else listed
 
 
 @record(frozen=False, eq=False)
