@@ -52,6 +52,36 @@ def test_a_grid_has_what_a_mesh_has(backend):
         np.testing.assert_allclose(values, mesh[same], rtol=1e-14, err_msg=path)
 
 
+def test_the_elements_of_a_vertex(backend):
+    grid, mesh = HexGrid.box(*SHAPE, **OPTIONS), HexMesh.box(*SHAPE, **OPTIONS)
+    for each in (grid, mesh):
+        each.elements.new_field("mass", ebb.float64, init=(np.arange(24.0) ** 2 % 7).reshape(each.elements.shape))
+        each.elements.new_field("low", ebb.vec3d, init=0.0)
+        each.vertices.new_field("mass", ebb.float64, init=0.0)
+
+    @ebb.kernel
+    def gather_on_grid(v: grid.vertices):
+        for i in (0, 1, 2, 3, 4, 5, 6, 7):
+            if v.has_element(i):
+                v.mass += v.element(i).mass
+
+    @ebb.kernel
+    def gather_on_mesh(v: mesh.vertices):
+        for e in v.elements:
+            v.mass += e.mass
+
+    @ebb.kernel
+    def find_low(e):
+        e.low = e.v[0].pos + e.v[6].pos
+
+    gather_on_grid(grid.vertices)
+    gather_on_mesh(mesh.vertices)
+    find_low(grid.elements)
+    find_low(mesh.elements)
+    assert grid.vertices.mass.to_numpy().ravel() == pytest.approx(mesh.vertices.mass.to_numpy())
+    assert (grid.elements.low.to_numpy().reshape(-1, 3) == mesh.elements.low.to_numpy()).all()
+
+
 def test_grids_and_bent_boxes():
     made = HexGrid.from_grid(Grid3D((2, 3, 4), origin=(1, 2, 3), extent=(2, 6, 8)))
     assert repr(made) == "<HexGrid: 2 x 3 x 4 elements>"

@@ -26,6 +26,7 @@ def _shifted(place: Iterable[int]) -> tuple[tuple[int, ...], ...]:
 
 # The maps from an element to its corners, and to what is beyond its sides.
 _CORNERS = tuple(map(_shifted, PLACES.tolist()))
+_ELEMENTS = tuple(map(_shifted, (-PLACES).tolist()))
 _SIDES = tuple(_shifted(way if axis == other else 0 for other in range(3)) for axis in range(3) for way in (-1, 1))
 
 
@@ -34,8 +35,11 @@ class HexGrid:
 
     In kernels elements have the members that those of a ``HexMesh`` have: ``e.corner(i)``, a vertex; ``e.xneg`` and so
     on and ``e.beyond(side)``, an element, which is ``e`` itself where there is none; ``e.boundary(side)``, which is
-    ``HexMesh.INTERIOR``, ``SYMMETRY`` or ``FREE``. So one kernel without annotation runs on both. Here ``i`` and
-    ``side`` are numbers that are known when the kernel is compiled (``for side in (0, 1, 2):``).
+    ``HexMesh.INTERIOR``, ``SYMMETRY`` or ``FREE``; ``e.v[i]`` is ``e.corner(i)``. So one kernel without annotation runs
+    on both. Here ``i`` and ``side`` are numbers known when the kernel is compiled (``for side in (0, 1, 2):``).
+
+    ``v.elements`` of a ``HexMesh`` has no counterpart, since at the boundary there are fewer than eight. Instead
+    ``v.element(i)`` is the element whose corner ``i`` the vertex is, where ``v.has_element(i)``, and else one nearby.
 
     Attributes:
         vertices: ``pos`` (vec3f, or vec3d with ``precision=ebb.float64``). Subsets: the six sides, by name.
@@ -75,8 +79,28 @@ class HexGrid:
         def boundary(e: Any, side: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
             return kinds[side] * ebb.int32(ebb.coords(e)[axes[side]] == last[side])
 
+        @elements.member
+        def v(e: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            c = e.corner
+            return [c(0), c(1), c(2), c(3), c(4), c(5), c(6), c(7)]
+
         for number, name in enumerate(SIDES):
             _add_neighbor(elements, name, number)
+        self._add_elements_of_vertices()
+
+    def _add_elements_of_vertices(self) -> None:
+        elements, vertices = self.elements, self.vertices
+        nx, ny, nz = self.shape
+        places: tuple[tuple[int, int, int], ...] = tuple((x, y, z) for x, y, z in PLACES.tolist())
+
+        @vertices.member
+        def element(v: Any, i: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            return ebb.affine(elements, _ELEMENTS[i], v, edge="clamp")
+
+        @vertices.member
+        def has_element(v: Any, i: Any) -> Any:  # pyright: ignore[reportUnusedFunction]
+            at = ebb.coords(v) - [places[i][0], places[i][1], places[i][2]]
+            return ebb.all(at >= 0) and at.x < nx and at.y < ny and at.z < nz
 
     @classmethod
     def from_grid(
