@@ -17,7 +17,8 @@ def run_whole(step: Any, count: int, lasting: Sequence[ebb.Field | ebb.Global]) 
     Args:
         step: what `ebb.capture` gave.
         count: how many.
-        lasting: all that steps take from those before them. It is held twice while they run.
+        lasting: all that steps take from those before them. It is held twice while they run. If there is nothing, an
+            error leaves things as it finds them.
 
     Raises:
         KernelAssertionError: an assertion has failed.
@@ -31,6 +32,7 @@ def run_whole(step: Any, count: int, lasting: Sequence[ebb.Field | ebb.Global]) 
                 each.load(values)
             else:
                 each.value = values
-        for _ in range(count if count > 1 else 0):
-            run_whole(step, 1, lasting)
+        if kept and count > 1:
+            for _ in range(count):
+                run_whole(step, 1, lasting)
         raise
