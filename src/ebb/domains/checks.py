@@ -168,7 +168,7 @@ def refuse_repeated(mesh: MeshData, cell: str) -> None:
 
 
 def tet_volumes(points: Floats, cells: Integers) -> Floats:
-    """The signed volumes of tetrahedra: positive where corners 1, 2, 3 turn left as seen from corner 0."""
+    """The signed volumes of tetrahedra: positive where corners 1, 2, 3 turn right as seen from corner 0."""
     a, b, c, d = (points[cells[:, i]] for i in range(4))
     return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
 

@@ -24,7 +24,7 @@ from ebb.errors import MeshFormatError
 
 
 class TetMesh:
-    """A solid of tetrahedra of positive volume, that is, whose corners 1, 2, 3 turn left as seen from corner 0.
+    """A solid of tetrahedra of positive volume, that is, whose corners 1, 2, 3 turn right as seen from corner 0.
 
     Make one by ``from_arrays``, ``load``, ``from_surface`` or a generator. In kernels, for a vertex ``v``: ``v.edges``
     are the edges that start there, ``v.neighbors`` the vertices at their other ends, ``v.tetrahedra`` the tetrahedra
