@@ -107,8 +107,14 @@ class _BlockEmitter(StatementEmitter):
             metadata = self.loop_notes(*notes)
         elif self.must_not_be_vectors(stmt.body, stmt.index[-1]):
             metadata = self.loop_notes(NO_VECTORS)
+            self.module.is_serial = stmt.inside is None and self.is_only_loop(stmt)
         self.row_nest(stmt, 0, metadata, joined or streaming)
         self.access_group = None
+
+    def is_only_loop(self, loop: lir.RowLoop) -> bool:
+        """Whether the program has no loop but ``loop``."""
+        inner = statements((*self.program.block, *self.program.finish))
+        return all(stmt is loop for stmt in inner if isinstance(stmt, lir.RowLoop | lir.For | lir.While))
 
     def vector_math(self, loop: lir.RowLoop) -> bool:
         """Whether the rows of ``loop`` beyond the last whole vector are masked, as functions with vector forms want it.

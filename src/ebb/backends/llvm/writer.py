@@ -12,6 +12,9 @@ from ebb.types.types import Kind, ScalarType, int64
 VECTORS = "!ebb.vectors"
 """The metadata of a module whose rows are vectors already, so that LLVM need not look for more of them in rows."""
 
+SERIAL = "!ebb.serial"
+"""The metadata of a module whose rows run one by one and have no loops: LLVM need not look for what gains by loops."""
+
 
 class ModuleWriter:
     """Collects the functions of a module and what they refer to."""
@@ -24,6 +27,7 @@ class ModuleWriter:
         self.metadata: list[str] = []
         self.kept: dict[str, None] = {}
         self.is_vectors = False
+        self.is_serial = False
 
     def note(self, text: str) -> str:
         """Appends a metadata node and returns its name; ``{self}`` in ``text`` stands for the name."""
@@ -40,8 +44,7 @@ class ModuleWriter:
                 f'@llvm.compiler.used = appending global [{len(self.kept)} x ptr] [{names}], section "llvm.metadata"'
             )
         parts = [*declared, *self.definitions.values(), *self.functions, *self.metadata]
-        if self.is_vectors:
-            parts.append(f"{VECTORS} = !{{}}")
+        parts += [f"{name} = !{{}}" for name, holds in ((VECTORS, self.is_vectors), (SERIAL, self.is_serial)) if holds]
         return "\n".join(parts) + "\n"
 
 
