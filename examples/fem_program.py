@@ -335,8 +335,9 @@ def program(law: Law) -> Callable[..., None]:
 
 
 def spread(steps: int, count: int) -> set[int]:
-    """The start, and ``count`` of the steps, as far apart as they can be, with the last among them."""
-    return {0, *(round(steps * (i + 1) / count) for i in range(min(count, steps)))}
+    """The start, and at most ``count`` of the steps, as far apart as they can be, with the last among them."""
+    count = min(count, steps)
+    return {0, *(round(steps * (i + 1) / count) for i in range(count))}
 
 
 def simulate(record: Record, steps: int, advance: Callable[[], Step], console: Console) -> str | None:

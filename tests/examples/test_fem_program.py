@@ -60,6 +60,11 @@ def test_the_default_run(run, law, tmp_path):
         assert [int(words[1]) for words in numbers] == states["iterations"].tolist()
 
 
+def test_moments_reach_to_the_last_step():
+    assert fem_program.spread(100, 4) == {0, 25, 50, 75, 100}
+    assert fem_program.spread(3, 4) == fem_program.spread(3, 50) == {0, 1, 2, 3}
+
+
 def test_pictures_series_and_last_states(run, tmp_path, monkeypatch):
     pytest.importorskip("meshio")
     drawn = []
