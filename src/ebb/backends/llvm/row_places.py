@@ -55,13 +55,13 @@ class RowPlaces:
         return self.roots.index(root)
 
     def arithmetic(self, instruction: str, left: str, right: str) -> str:
-        """An operation on two scalars."""
+        """An operation on two scalars: by one name, in whatever order they are; places are known by these."""
+        if instruction != "sub":
+            left, right = sorted((left, right), key=lambda name: (not name.startswith("%"), name))
         if instruction == "mul" and "0" in (left, right):
             return "0"
         if right == ("1" if instruction == "mul" else "0"):
             return left
-        if instruction == "add" and left == "0":
-            return right
         return self.w.emit(f"{instruction} i64 {left}, {right}")
 
     def scalar(self, place: Place) -> str:

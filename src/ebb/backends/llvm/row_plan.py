@@ -11,6 +11,7 @@ from collections import Counter
 from enum import Enum
 
 from ebb.backends.llvm.fit import Change, Unfit, change_of, demand, demand_lanes, is_failure
+from ebb.backends.llvm.row_elements import Elements
 from ebb.backends.llvm.row_skips import leaves_out
 from ebb.backends.llvm.transpose import LANES
 from ebb.backends.llvm.vector_math import VectorForms
@@ -103,7 +104,10 @@ class _Planner:
         self.check(self.loop.body, nested=False)
         stored = [stmt for stmt in self.all if isinstance(stmt, lir.Store)]
         changed = {stmt.slot.number for stmt in stored if id(stmt) in self.updates}
+        elements = Elements(self.loop)
         for stmt in stored:
+            number = stmt.slot.number
+            demand(elements.are_known(number) and (number in changed or elements.are_of_one_row(number)))
             # What other rows change is neither read nor set by the row itself.
             demand(stmt.slot.number not in changed or id(stmt) in self.updates)
         for let in self.lets:
