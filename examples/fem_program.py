@@ -314,6 +314,7 @@ def program(law: Law) -> Callable[..., None]:
                 f"{Path(mesh).stem}, {law.name}: {solid.tetrahedra.size} tetrahedra, {len(points)} vertices, "
                 f"{int(body.fixed.sum())} of them fixed, " + ("at rest" if static else f"{steps} steps of {dt:g} s"),
                 markup=False,
+                soft_wrap=True,
             )
             if not (dt > 0 and math.isfinite(dt)):
                 raise ValueError(f"--dt is a positive number of seconds, not {dt:g}")

@@ -201,7 +201,7 @@ def measure(mesh: PolyMesh) -> Quality:
 def smooth(mesh: PolyMesh, steps: int, method: str, console: Console) -> None:
     """Make all steps, and tell from time to time how good the mesh has become."""
     quality = measure(mesh)
-    console.print("".join(f"{name:>11}" for name in ("step", *quality.figures, "volume")), style="bold")
+    console.print("".join(f"{name:>13}" for name in ("step", *quality.figures, "volume")), style="bold")
     console.print(row(0, quality))
     for number in track(range(1, steps + 1), "smoothing", console=console, transient=True):
         step(mesh, method)
@@ -211,7 +211,7 @@ def smooth(mesh: PolyMesh, steps: int, method: str, console: Console) -> None:
 
 def row(number: int, quality: Quality) -> str:
     """A line of the table."""
-    return "".join(f"{value:11.6g}" for value in (number, *quality.figures.values(), quality.volume))
+    return "".join(f"{value:13.6g}" for value in (number, *quality.figures.values(), quality.volume))
 
 
 # What is shown.
