@@ -261,21 +261,17 @@ def _multiplying_by(stored: str) -> Function:
 
 
 def _applying(system: LinearSystem, stored: str, field: str) -> Function:
-    unknown, number = system.x.type, system.scalar
-    components, below, places = _triangle(system)
+    number, extent = system.scalar, system.x.type.shape[0]
+    matrix = ebb.matrix(number, extent, extent)
+    _, _, places = _triangle(system)
+    packed = tuple((i, j, place) for i, row in enumerate(places) for j, place in enumerate(row))
 
     @ebb.func
     def apply(v: Any, r: Any) -> Any:
-        factor = v[stored]
-        z = ebb.zeros(unknown)
-        for i in components:
-            last = number(factor[places[i][i]])
-            length = last * r[i]
-            for j in below[i]:
-                length += number(factor[places[i][j]]) * r[j]
-            for j in below[i]:
-                z[j] += number(factor[places[i][j]]) * length
-            z[i] = last * length
+        packing, factor = v[stored], ebb.zeros(matrix)
+        for i, j, place in packed:
+            factor[i, j] = number(packing[place])
+        z = (factor @ r) @ factor
         v[field] = z
         return z
 
