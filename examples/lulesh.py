@@ -24,7 +24,7 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -35,9 +35,10 @@ import ebb
 from ebb.domains import HexGrid, HexMesh
 from lulesh_regions import draw_regions, evaluations
 from outputs import save_arrays, why_unwritable
-from pictures import save_strip
-from sedov_picture import Moment, skin
 from whole_steps import run_whole
+
+if TYPE_CHECKING:
+    from sedov_picture import Moment
 
 SIDE = 1.125  # the length of the octant
 ORIGIN_ENERGY = 3.948746e7 / 45**3  # in the zone at the origin, times the number of zones
@@ -64,6 +65,11 @@ TINY, HUGE = 1e-36, 1e20
 
 AXES = (0, 1, 2)
 MESHES = {"unstructured": HexMesh, "grid": HexGrid}
+
+# Temporaries of zones that are done with before others begin lie in the same fields: the gradient of the velocity and
+# the thickness along each axis in those of the viscosity and the gas, which are found from them.
+DU = ("new_e", "new_p", "new_q")
+DX = ("linear_q", "quadratic_q", "sound_speed")
 
 dt = ebb.Global(ebb.float64, 0.0)
 courant = ebb.Global(ebb.float64, HUGE)
@@ -234,8 +240,10 @@ def find_kinematics(z):
     jk, ki, ij = ebb.cross(j, k), ebb.cross(k, i), ebb.cross(i, j)
     # The gradient of the velocity, and the thickness of the zone, along each of its axes.
     scale = 1 / (new_volume + TINY)
-    z.du = scale * [ebb.dot(du, jk), ebb.dot(dv, ki), ebb.dot(dw, ij)]
-    z.dx = [thickness(new_volume, jk), thickness(new_volume, ki), thickness(new_volume, ij)]
+    gradient = scale * [ebb.dot(du, jk), ebb.dot(dv, ki), ebb.dot(dw, ij)]
+    dx = [thickness(new_volume, jk), thickness(new_volume, ki), thickness(new_volume, ij)]
+    for axis in AXES:
+        z[DU[axis]], z[DX[axis]] = gradient[axis], dx[axis]
     # The rate of expansion, d(ln V) / dt, at the centre in the middle of the step.
     half = 0.5 * dt.value
     i, j, k = i - half * du, j - half * dv, k - half * dw
@@ -262,12 +270,12 @@ def limiter(own, before, after):
 def find_viscosity(z):
     linear, quadratic = 0.0, 0.0
     for axis in AXES:
-        own = z.du[axis]
-        before, after = z.beyond(2 * axis).du[axis], z.beyond(2 * axis + 1).du[axis]
+        own = z[DU[axis]]
+        before, after = z.beyond(2 * axis)[DU[axis]], z.beyond(2 * axis + 1)[DU[axis]]
         if z.boundary(2 * axis + 1) == HexMesh.FREE:
             after = 0.0
         smooth = limiter(own, before, after)
-        jump = min(own * z.dx[axis], 0.0)
+        jump = min(own * z[DX[axis]], 0.0)
         linear += jump * (1 - smooth)
         quadratic += jump * jump * (1 - smooth * smooth)
     rho = ebb.select(z.expansion > 0, 0.0, DENSITY / z.new_vol)
@@ -407,8 +415,6 @@ class Sedov:
             zones.new_field(name, ebb.float64, init=1.0)
         for name in ("initial_volume", "length", "expansion"):
             zones.new_field(name, ebb.float64)
-        for name in ("du", "dx"):
-            zones.new_field(name, ebb.vec3d)
         for name in ("vel", "force"):
             nodes.new_field(name, ebb.vec3d, init=0.0)
         nodes.new_field("mass", ebb.float64, init=0.0)
@@ -527,6 +533,8 @@ class Sedov:
 
 def moment(blast: Sedov) -> Moment:
     """The state now, for a picture."""
+    from sedov_picture import Moment
+
     n = blast.size
     x, v = blast.nodes.pos.to_numpy(), blast.zones.vol.to_numpy()
     return Moment(x.reshape(n + 1, n + 1, n + 1, 3), DENSITY / v.reshape(n, n, n))
@@ -625,6 +633,9 @@ def main(
         if save is not None:
             zone_fields = [blast.zones.fields[name] for name in ("e", "p", "q", "vol")]
             blast.mesh.save(save.with_suffix(".vtk"), fields=[blast.nodes.vel, *zone_fields])
+            from pictures import save_strip
+            from sedov_picture import skin
+
             drawn = save_strip(save.with_suffix(".png"), [skin(shown) for shown in moments], elevation=32)
             console.print(f"drawn by {drawn}", markup=False)
             console.print(f"saved {save.with_suffix('.vtk')} and {save.with_suffix('.png')}")

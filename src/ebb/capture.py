@@ -27,6 +27,7 @@ from ebb.relations.globals import Global
 from ebb.runtime.buffer import Array
 from ebb.runtime.epoch import structure
 from ebb.runtime.errors import BadRepeatCount, IndexInCapture
+from ebb.runtime.heap import return_freed
 from ebb.runtime.recording import recording, refuse
 from ebb.runtime.threads import launching
 
@@ -108,6 +109,9 @@ class Step:
     def _prepare(self) -> None:
         """Has the backend make a program of the step, if it can and the data allow it."""
         self._replay = None
+        begins = self._epoch is None
+        if begins:
+            return_freed()  # that of making meshes and of compiling, before memory is taken for other layouts
         swaps = [each for each in self._recorded if isinstance(each, SwapFields)]
         for each in swaps:
             each.left.check_no_view()
@@ -118,6 +122,8 @@ class Step:
         if settled and all([_are_alike(each.left, each.right) for each in swaps]):
             self._replay = current_backend().replay([self._bound(each) for each in self._recorded])
         self._epoch = epoch
+        if begins:
+            return_freed()  # that of the former layouts
 
     def _settle(self) -> tuple[object, bool]:
         """Settles the launches until none disturbs another; the epoch of that, and whether it came to it."""

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import ebb
 import lulesh
 import lulesh_regions
+import pictures
 from backends import require
 from lulesh_model import Model
 
@@ -277,7 +278,7 @@ def test_the_summary_and_the_dump(tmp_path, monkeypatch):
     assert not nodes["x"][:, :, 0].any() and not nodes["y"][:, 0].any() and not nodes["z"][0].any()
     assert not nodes["xd"][:, :, 0].any()
     drawn = []
-    monkeypatch.setattr(lulesh, "save_strip", lambda path, shapes, **options: drawn.append((path, shapes)))
+    monkeypatch.setattr(pictures, "save_strip", lambda path, shapes, **options: drawn.append((path, shapes)))
     result = invoke("--size", 5, "--iterations", 9, "--quiet", "--mesh", "grid", "--save", tmp_path / "blast")
     assert result.exit_code == 0 and not result.output.strip(), result.output
     assert (tmp_path / "blast.vtk").stat().st_size > 0
