@@ -164,20 +164,17 @@ def _factor_type(system: LinearSystem) -> Any:
     return ebb.vector(ebb.float32, extent * (extent + 1) // 2)
 
 
-Triangle: TypeAlias = tuple[tuple[int, ...], ...]
-
-
-def _triangle(system: LinearSystem) -> tuple[tuple[int, ...], Triangle, Triangle]:
-    """The rows of a block; for each the columns before the diagonal; and where what is up to it lies in a factor."""
-    rows = tuple(range(system.x.type.shape[0]))
-    places = tuple(tuple(range(i * (i + 1) // 2, (i + 1) * (i + 2) // 2)) for i in rows)
-    return rows, tuple(tuple(range(i)) for i in rows), places
+def _triangle(system: LinearSystem) -> tuple[tuple[int, int, int], ...]:
+    """The row and the column of each number of a block up to the diagonal, and where it lies in a factor."""
+    rows = range(system.x.type.shape[0])
+    return tuple((i, j, i * (i + 1) // 2 + j) for i in rows for j in range(i + 1))
 
 
 def _factored_blocks(system: LinearSystem, blocks: Blocks, stored: str, faults: ebb.Global) -> ebb.Kernel:
     is_free, row, column, matrix = freedom_of(system), blocks.row, blocks.column.name, blocks.matrix.name
     block, unknown, packed = blocks.matrix.type, system.x.type, _factor_type(system)
-    components, below, places = _triangle(system)
+    components = tuple((i, tuple(range(i))) for i in range(unknown.shape[0]))
+    triangle = _triangle(system)
 
     @ebb.kernel
     def factor_blocks(v: Any) -> None:
@@ -189,18 +186,16 @@ def _factored_blocks(system: LinearSystem, blocks: Blocks, stored: str, faults: 
         factor = ebb.zeros(block)
         packing = ebb.zeros(packed)
         sound = True
-        for i in components:
+        for i, before in components:
             direction = ebb.zeros(unknown)
             direction[i] = 1
-            for j in below[i]:
+            for j in before:
                 direction -= ebb.dot(a[i], factor[j]) * factor[j]
             square = ebb.dot(direction, a @ direction)
             sound = sound and square > 0
-            direction /= ebb.sqrt(square)
-            factor[i] = direction
-            for j in below[i]:
-                packing[places[i][j]] = ebb.float32(direction[j])
-            packing[places[i][i]] = ebb.float32(direction[i])
+            factor[i] = direction / ebb.sqrt(square)
+        for i, j, place in triangle:
+            packing[place] = ebb.float32(factor[i, j])
         free = is_free(v)
         v[stored] = packing if free else ebb.zeros(packed)
         if free and not sound:
@@ -263,13 +258,12 @@ def _multiplying_by(stored: str) -> Function:
 def _applying(system: LinearSystem, stored: str, field: str) -> Function:
     number, extent = system.scalar, system.x.type.shape[0]
     matrix = ebb.matrix(number, extent, extent)
-    _, _, places = _triangle(system)
-    packed = tuple((i, j, place) for i, row in enumerate(places) for j, place in enumerate(row))
+    triangle = _triangle(system)
 
     @ebb.func
     def apply(v: Any, r: Any) -> Any:
         packing, factor = v[stored], ebb.zeros(matrix)
-        for i, j, place in packed:
+        for i, j, place in triangle:
             factor[i, j] = number(packing[place])
         z = (factor @ r) @ factor
         v[field] = z
