@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from enum import Enum
+from enum import Enum, IntEnum
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -186,6 +186,17 @@ def test_whatever_changes_in_a_kernel_changes_its_key(name):
         text = kernel_key(kernel, step.phases, step.unchecked).text
         assert text not in known_keys or text in known_keys - {key_of_step(step).text}
         known_keys.add(text)
+
+
+def test_numbers_that_have_names_count_by_their_value():
+    step = steps(world())["count"]
+    assign = step.kernel.body[0]
+    texts = set()
+    for value in (1, 2):
+        named = IntEnum("Named", {"ONE": value}).ONE
+        body = (replace(assign, value=replace(assign.value, value=named)), *step.kernel.body[1:])
+        texts.add(kernel_key(replace(step.kernel, body=body), step.phases, step.unchecked).text)
+    assert len(texts) == 2
 
 
 def test_where_a_kernel_stands_does_not_change_its_key():

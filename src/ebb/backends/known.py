@@ -20,7 +20,8 @@ from ebb.backends.target import Target
 from ebb.compiler.interface import Interface, interface_of, packed, unpacked
 from ebb.compiler.pipeline import dumps
 
-_PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_PACKAGE = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+"""Without links, which may lead to another version by the time when a kernel is launched."""
 
 _LOADED_NS = time.time_ns()
 

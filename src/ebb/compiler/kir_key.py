@@ -187,12 +187,12 @@ def _write_local(writer: _Writer, local: kir.Local | kir.Label) -> None:
 def _write_other(writer: _Writer, part: Any) -> None:
     """What has types of its own: options, relations of domains, and numbers that are more than Python's."""
     match part:
+        case Rational():  # also numbers of the user's that have names: what counts is their value
+            writer.words.append(f"{int(part.numerator)}/{int(part.denominator)}")
         case Enum():
             writer.words.append(f"{type(part).__name__}.{part.name}")
         case Relation():
             _write_relation(writer, part)
-        case Rational():
-            writer.words.append(f"{int(part.numerator)}/{int(part.denominator)}")
         case float():
             writer.words.append(float.__repr__(part))
         case _:
