@@ -67,7 +67,8 @@ AXES = (0, 1, 2)
 MESHES = {"unstructured": HexMesh, "grid": HexGrid}
 
 # Temporaries of zones that are done with before others begin lie in the same fields: the gradient of the velocity and
-# the thickness along each axis in those of the viscosity and the gas, which are found from them.
+# the thickness along each axis in those of the viscosity and the gas. `find_kinematics` writes them when `add_forces`
+# has read the speed of sound; `find_viscosity` reads them last and writes its terms, `evaluate_gas` all the others.
 DU = ("new_e", "new_p", "new_q")
 DX = ("linear_q", "quadratic_q", "sound_speed")
 
@@ -458,7 +459,7 @@ class Sedov:
         move_nodes(nodes)
 
         find_kinematics(zones)
-        find_viscosity(zones)  # like the limits of the step, no matter of the gas: regions would say the same
+        find_viscosity(zones)  # needs no gas, so regions would compute the same
         for rows, times in self._regions:
             for _ in range(times):
                 evaluate_gas(rows)
@@ -496,6 +497,7 @@ class Sedov:
             try:
                 run_whole(self._cycle, batch, self._lasting)
             except ebb.KernelAssertionError as error:
+                # Where a whole cycle is kept, the state has been put back to the one before that which failed.
                 raise DomainError(f"cycle {self.cycle + bool(self._lasting)}: {error}") from error
             cycles -= batch
             progress(self.time)
@@ -620,6 +622,7 @@ def main(
     refuse_bad_input(size, regions, balance, mesh, dump_to, save)
     if threads is not None and threads > (os.cpu_count() or 1):
         console.print(f"{threads} threads on a machine with {os.cpu_count()} cores will be slow", style="yellow")
+    blast: Sedov | None = None
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
         started = time.perf_counter()
@@ -642,7 +645,7 @@ def main(
     except (ebb.EbbError, DomainError) as error:
         raise SystemExit(str(error)) from None
     finally:
-        if dump_to is not None and "blast" in locals():
+        if dump_to is not None and blast is not None:
             dump(dump_to, blast)
             console.print(f"dumped cycle {blast.cycle} to {dump_to}")
 

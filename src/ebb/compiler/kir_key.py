@@ -32,7 +32,7 @@ class KernelKey:
     """The text of a kernel, and what it calls by number.
 
     Attributes:
-        text: the same for all kernels that lower alike, and for no other.
+        text: the same only for kernels that lower alike.
         named: fields, relations and globals, by their numbers.
     """
 
