@@ -15,7 +15,7 @@ import numpy as np
 
 from ebb.backends.backend import Operation, RunKernel, SetGlobal, SwapFields
 from ebb.backends.cpu.binding import Binding
-from ebb.backends.cpu.together import Launched, Together, grouped
+from ebb.backends.cpu.together import RunBinding, Together, grouped
 from ebb.backends.kernel_code import Bindings, NoRows
 from ebb.compiler import lir
 from ebb.relations.field import Field
@@ -67,7 +67,7 @@ class Replay:
         self._set: list[Global] = []
         self._kept: list[object] = []
         self._slice = 1
-        self._waiting: list[Launched] = []
+        self._waiting: list[RunBinding] = []
         self._teams: list[tuple[int, list[Binding]]] = []
         for operation in operations:
             self._add(operation)
@@ -137,7 +137,7 @@ class Replay:
     def _add(self, operation: Operation) -> None:
         match operation:
             case RunKernel(Binding() as binding, uniforms):
-                self._waiting.append(Launched(binding, uniforms))
+                self._waiting.append(RunBinding(binding, uniforms))
             case RunKernel(Bindings(bindings=bindings), uniforms):
                 for bound in bindings:
                     self._add(RunKernel(bound, uniforms))
@@ -189,7 +189,7 @@ class Replay:
         runtime = openmp() if max([binding.threads() for binding in bindings]) > 1 else None
         self._add_row(Kind.TOGETHER, what.ctypes.data, 0 if runtime is None else runtime.fork, 1)
 
-    def _add_launch(self, launch: Launched, kind: Kind) -> Array:
+    def _add_launch(self, launch: RunBinding, kind: Kind) -> Array:
         """Adds a launch, which runs or only puts addresses in place, and gives its argument block."""
         binding = launch.binding
         words, held = binding.copy_block(launch.uniforms)

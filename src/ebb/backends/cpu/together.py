@@ -21,8 +21,8 @@ from ebb.runtime.buffer import Array
 
 
 @record(eq=False)
-class Launched:
-    """A launch of a step, with the values of its uniforms."""
+class RunBinding:
+    """A `RunKernel` that runs rows on the processor: what is bound is a `Binding`."""
 
     binding: Binding
     uniforms: tuple[Any, ...]
@@ -43,15 +43,15 @@ class Together:
         launches: these, by the rows that they run on. The rows of any two are the same, or have none in common.
     """
 
-    def __init__(self, first: Launched) -> None:
+    def __init__(self, first: RunBinding) -> None:
         """The launch ``first`` alone, whatever it does."""
         self._open = first.binding.is_apart
         self._uses: dict[Field, _Use] = {}
         self._covered: dict[Relation, Array] = {}
-        self.launches: dict[RowSet, list[Launched]] = {first.binding.rows: [first]}
+        self.launches: dict[RowSet, list[RunBinding]] = {first.binding.rows: [first]}
         self._note(first)
 
-    def take(self, launch: Launched) -> bool:
+    def take(self, launch: RunBinding) -> bool:
         """Adds ``launch`` behind the others, if it can run together with them."""
         binding = launch.binding
         if not (self._open and binding.is_apart and self._is_fit(binding) and self._has_room(binding)):
@@ -63,7 +63,7 @@ class Together:
     def __len__(self) -> int:
         return sum(map(len, self.launches.values()))
 
-    def _note(self, launch: Launched) -> None:
+    def _note(self, launch: RunBinding) -> None:
         for field, phase in launch.binding.phases.fields.items():
             use = self._uses.setdefault(field, _Use(changed=False, centered=True))
             use.changed = use.changed or phase.changed
@@ -92,7 +92,7 @@ class Together:
         return not others or _cover(self._covered[relation], binding.rows)
 
 
-def grouped(launches: Sequence[Launched]) -> Iterator[Together]:
+def grouped(launches: Sequence[RunBinding]) -> Iterator[Together]:
     """``launches``, which follow one another, as few groups that run together."""
     group: Together | None = None
     for launch in launches:
