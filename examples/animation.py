@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import typer
 
 import software
-from outputs import replacing, why_unwritable
+from options import check_output
+from outputs import replacing
 
 ABSORBED = np.array([(0.15, 0.75, 1.6), (1.5, 0.45, 0.12), (0.25, 1.6, 0.75)])
 """How much each of the three inks takes from red, green and blue: saffron, a blue, and magenta."""
@@ -90,19 +92,13 @@ def save_moments(path: Path, moments: Sequence[np.ndarray]) -> None:
 # ---- Frames ----
 
 
-def check_outputs(picture: Path | None, frames: Path | None, animated: Path | None) -> str | None:
-    """What is wrong with where a program should write its pictures, or None: to be asked before it runs."""
-    if picture is not None and picture.suffix.lower() != ".png":
-        return f"pictures are PNG files, and {str(picture)!r} ends otherwise"
-    if animated is not None and animated.suffix.lower() not in ANIMATED:
-        return f"animated files end in {', '.join(ANIMATED)}, and {str(animated)!r} does not"
+def check_outputs(picture: Path | None, frames: Path | None, animated: Path | None) -> None:
+    """Refuse, before a program runs, pictures that it could not write: ``--save``, ``--frames`` and ``--animate``."""
+    check_output("--save", picture, ".png")
+    check_output("--frames", None if frames is None else frames / "frame-0001.png", ".png")
+    check_output("--animate", animated, *ANIMATED)
     if animated is not None and importlib.util.find_spec("PIL") is None:
-        return 'an animated file needs Pillow, which is not installed (pip install "ebblang[viz]")'
-    for path in (picture, animated, None if frames is None else frames / "frame-0001.png"):
-        reason = None if path is None else why_unwritable(path)
-        if reason is not None:
-            return f"{str(path)!r} cannot be written: {reason}"
-    return None
+        raise typer.BadParameter('needs Pillow (pip install "ebblang[viz]")', param_hint="--animate")
 
 
 class Film:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,7 +17,8 @@ import ebb
 from bodies import SURFACES, load_solid
 from ebb.domains import TetMesh, TriMesh
 from fem import Damping, Law, Material, SoftBody, Step, StepError, retreat
-from outputs import save_arrays, save_text, why_unwritable
+from options import Backend, Threads, check_output, finite, positive
+from outputs import save_arrays, save_text
 from pictures import CLAY, Surface, save_strip
 
 MESHES = (".vtu", ".vtk", ".veg")
@@ -137,18 +136,8 @@ def read_gravity(text: str) -> npt.NDArray[np.float64]:
 def check_outputs(saves: list[Path], dump: Path | None) -> None:
     """Check before a long run that what comes of it can be written."""
     for path in saves:
-        if path.suffix not in (".png", ".pvd", *MESHES):
-            raise ValueError(
-                f"--save {path}: a picture is .png, a series .pvd, the last state one of {', '.join(MESHES)}"
-            )
-        if path.suffix in (".pvd", ".vtu", ".vtk") and importlib.util.find_spec("meshio") is None:
-            raise ValueError(f'--save {path}: VTK files need meshio (pip install "ebblang[mesh]")')
-    if dump is not None and dump.suffix != ".npz":
-        raise ValueError(f"--dump {dump}: states are saved as .npz")
-    for path in (*saves, *([] if dump is None else [dump])):
-        reason = why_unwritable(path)
-        if reason is not None:
-            raise ValueError(f"{path} cannot be written: {reason}")
+        check_output("--save", path, ".png", ".pvd", *MESHES)
+    check_output("--dump", dump, ".npz")
 
 
 # What comes out.
@@ -188,9 +177,9 @@ class Record:
     def save(self, saves: list[Path], dump: Path | None, console: Console) -> None:
         """Write all files."""
         for path in saves:
-            if path.suffix == ".png":
+            if path.suffix.lower() == ".png":
                 console.print(f"drawn by {save_picture(path, self)}", markup=False)
-            elif path.suffix == ".pvd":
+            elif path.suffix.lower() == ".pvd":
                 save_text(path, collection(path.stem, self.written))
             else:
                 save_solid(path, self.body)
@@ -219,7 +208,7 @@ def save_solid(path: Path, body: SoftBody) -> None:
     if "place" not in vertices.fields:
         vertices.new_field("place", ebb.vec3d)
     find_place(vertices)
-    body.mesh.save(path, positions="place", fields=[] if path.suffix == ".veg" else ["q", "qd"])
+    body.mesh.save(path, positions="place", fields=[] if path.suffix.lower() == ".veg" else ["q", "qd"])
 
 
 def save_picture(path: Path, record: Record) -> str:
@@ -252,10 +241,14 @@ def program(law: Law) -> Callable[..., None]:
         young: Annotated[float | None, typer.Option(help="Young's modulus; by default the file's, else 4e5")] = None,
         poisson: Annotated[float | None, typer.Option(help="Poisson's ratio; by default the file's, else 0.4")] = None,
         density: Annotated[float | None, typer.Option(help="by default the file's, else 1000")] = None,
-        dt: Annotated[float, typer.Option(help="seconds a step")] = 0.01,
+        dt: Annotated[float, typer.Option(help="seconds a step", callback=positive)] = 0.01,
         steps: Annotated[int, typer.Option(help="how many", min=1)] = 100,
-        damping_mass: Annotated[float, typer.Option(help="a in D = a M + b K, 1 / second")] = 0.0,
-        damping_stiffness: Annotated[float, typer.Option(help="b in D = a M + b K, seconds")] = 0.0,
+        damping_mass: Annotated[
+            float, typer.Option(help="a in D = a M + b K, 1 / second", min=0, callback=finite)
+        ] = 0.0,
+        damping_stiffness: Annotated[
+            float, typer.Option(help="b in D = a M + b K, seconds", min=0, callback=finite)
+        ] = 0.0,
         gravity: Annotated[str, typer.Option(help="GX,GY,GZ")] = "0,-9.81,0",
         force: Annotated[Path | None, typer.Option(help="an .npy file: the force on each vertex, in rows of 3")] = None,
         fixed: Annotated[
@@ -265,7 +258,9 @@ def program(law: Law) -> Callable[..., None]:
         lumped_mass: Annotated[
             bool, typer.Option("--lumped-mass", help="a diagonal mass matrix; else the consistent one")
         ] = False,
-        tolerance: Annotated[float, typer.Option(help="by which the linear solver makes the residual smaller")] = 1e-6,
+        tolerance: Annotated[
+            float, typer.Option(help="by which the linear solver makes the residual smaller", callback=positive)
+        ] = 1e-6,
         newton: Annotated[
             int, typer.Option(help="most of Newton's iterations a step; 1 is the linearised step", min=1)
         ] = 1,
@@ -287,8 +282,8 @@ def program(law: Law) -> Callable[..., None]:
             ),
         ] = None,
         frames: Annotated[int, typer.Option(help="files in a VTK series", min=1)] = 50,
-        backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-        threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
+        backend: Backend = "cpu",
+        threads: Threads = None,
     ) -> None:
         """Let a soft body move under its weight and other forces, or find where it comes to rest."""
         console = Console(highlight=False)
@@ -316,13 +311,11 @@ def program(law: Law) -> Callable[..., None]:
                 markup=False,
                 soft_wrap=True,
             )
-            if not (dt > 0 and math.isfinite(dt)):
-                raise ValueError(f"--dt is a positive number of seconds, not {dt:g}")
             record = Record(
                 body,
                 dt,
                 up=int(np.argmax(np.abs(pull))) if pull.any() else 1,
-                series=[path for path in saves if path.suffix == ".pvd"],
+                series=[path for path in saves if path.suffix.lower() == ".pvd"],
                 frames=spread(steps, frames),
                 pictured=spread(steps, 4),
                 whole=dump is not None,

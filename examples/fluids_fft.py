@@ -40,7 +40,8 @@ import ebb
 from device_transforms import CudaTransforms, DeviceTransforms, transforms_on
 from ebb.domains import Grid2D, Particles
 from grid_particles import save_moments
-from outputs import save_arrays, why_unwritable
+from options import Backend, check_output, finite, positive
+from outputs import save_arrays
 
 DT, VISCOSITY, FORCE, RADIUS = 0.09, 0.0025, 5.8, 4
 """Of the sample: seconds, in the units of its frequencies, a cell along a side, and cells."""
@@ -272,10 +273,10 @@ def drag(fluid: Fluid, number: int, force: float) -> None:
 def main(
     grid: Annotated[int, typer.Option(help="cells along a side", min=2)] = 512,
     steps: Annotated[int, typer.Option(min=1)] = 200,
-    dt: Annotated[float, typer.Option(help="the length of a step in seconds", min=0)] = DT,
-    viscosity: Annotated[float, typer.Option(help="as the sample has it", min=0)] = VISCOSITY,
-    force: Annotated[float, typer.Option(help="of the brush, for each cell along a side")] = FORCE,
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
+    dt: Annotated[float, typer.Option(help="the length of a step in seconds", callback=positive)] = DT,
+    viscosity: Annotated[float, typer.Option(help="as the sample has it", min=0, callback=finite)] = VISCOSITY,
+    force: Annotated[float, typer.Option(help="of the brush, for each cell along a side", callback=finite)] = FORCE,
+    backend: Backend = "cpu",
     threads: Annotated[int | None, typer.Option(help="for cpu and the transforms; by default all", min=1)] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png) of the particles at four moments")] = None,
     dump: Annotated[Path | None, typer.Option(help="a file (.npz) for velocity and positions")] = None,
@@ -284,9 +285,8 @@ def main(
     """Drag a fluid around in a periodic square."""
     console = Console(highlight=False)
     moments = parsed_moments(dump_at, steps)
-    wrong = moments if isinstance(moments, str) else check_outputs(save, dump)
-    if isinstance(moments, str) or wrong is not None:
-        raise SystemExit(wrong)
+    check_output("--save", save, ".png")
+    check_output("--dump", dump, ".npz")
     try:
         ebb.set_backend(backend, **({} if threads is None or backend != "cpu" else {"threads": threads}))
         fluid = Fluid(grid, viscosity, dt, transforms=transforms_for(backend, threads or processors()))
@@ -305,28 +305,17 @@ def main(
     describe_transforms(fluid, backend, console)
 
 
-def parsed_moments(text: str, steps: int) -> list[int] | str:
-    """The steps that ``text`` names, or what is wrong with it."""
+def parsed_moments(text: str, steps: int) -> list[int]:
+    """The steps that ``text`` names."""
     try:
         found = sorted({int(part) for part in text.split(",")}) if text.strip() else [steps]
     except ValueError:
-        return f"--dump-at takes numbers of steps, 1,10,100, and not {text!r}"
+        raise typer.BadParameter(
+            f"takes numbers of steps, 1,10,100, and not {text!r}", param_hint="--dump-at"
+        ) from None
     if not 1 <= found[0] <= found[-1] <= steps:
-        return f"--dump-at takes steps from 1 to {steps}, and not {text!r}"
+        raise typer.BadParameter(f"takes steps from 1 to {steps}, and not {text!r}", param_hint="--dump-at")
     return found
-
-
-def check_outputs(save: Path | None, dump: Path | None) -> str | None:
-    """What is wrong with where the program should write, or None; folders are made."""
-    for path, suffix, what in ((save, ".png", "--save writes a picture"), (dump, ".npz", "--dump writes arrays")):
-        if path is None:
-            continue
-        if path.suffix.lower() != suffix:
-            return f"{what}, a file that ends in {suffix}, and {str(path)!r} does not"
-        reason = why_unwritable(path)
-        if reason is not None:
-            return f"{str(path)!r} cannot be written: {reason}"
-    return None
 
 
 class Record:

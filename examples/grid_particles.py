@@ -31,6 +31,7 @@ from rich.progress import track
 import ebb
 import software
 from ebb.domains import Grid2D, Grid3D, Particles
+from options import Backend, Threads, check_output, positive
 
 A, B = 3**0.5, 2**0.5
 """Of the flow of Arnold, Beltrami and Childress; C is 1."""
@@ -279,15 +280,18 @@ def main(
     particles: Annotated[int, typer.Option(help="how many", min=1)] = 1_000_000,
     grid: Annotated[int, typer.Option(help="cells along the shortest side", min=2)] = 256,
     steps: Annotated[int, typer.Option(min=1)] = 400,
-    dt: Annotated[float | None, typer.Option(help="the length of a step in seconds")] = None,
+    dt: Annotated[float | None, typer.Option(help="the length of a step in seconds", callback=positive)] = None,
     order: Annotated[int, typer.Option(help="of the Runge-Kutta method: 2 or 4")] = 2,
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-    threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
-    sort: Annotated[int | None, typer.Option(help="steps between sortings of particles by cells; 0: none")] = None,
+    backend: Backend = "cpu",
+    threads: Threads = None,
+    sort: Annotated[
+        int | None, typer.Option(help="steps between sortings of particles by cells; 0: none", min=0)
+    ] = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png) of four moments")] = None,
 ) -> None:
     """Carry particles through a flow on a grid."""
     console = Console(highlight=False)
+    check_output("--save", save, ".png")
     if flow not in FLOWS or order not in (2, 4):
         raise SystemExit(f"--flow is one of {', '.join(FLOWS)}, and --order 2 or 4")
     try:

@@ -22,6 +22,7 @@ from rich.progress import track
 import ebb
 from bodies import bunny_scan, fitted, what_bunny_lacks
 from ebb.domains import TriMesh
+from options import Backend, Threads, check_output, finite, positive
 from pictures import Surface, save_strip
 
 hottest = ebb.Global(ebb.float64, 0.0)
@@ -144,14 +145,17 @@ def load_surface(name: str, console: Console) -> TriMesh:
 def main(
     mesh: Annotated[str, typer.Option(help="torus, bunny, or the file of a surface")] = "torus",
     steps: Annotated[int, typer.Option(help="at most so many", min=1)] = 4000,
-    diffusivity: Annotated[float, typer.Option(help="square metres a second")] = 1e-3,
-    tolerance: Annotated[float, typer.Option(help="stop when no vertex changes by more in a step")] = 1e-6,
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-    threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
+    diffusivity: Annotated[float, typer.Option(help="square metres a second", callback=positive)] = 1e-3,
+    tolerance: Annotated[
+        float, typer.Option(help="stop when no vertex changes by more in a step", min=0, callback=finite)
+    ] = 1e-6,
+    backend: Backend = "cpu",
+    threads: Threads = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the last state (.vtu, .vtk, .ply)")] = None,
 ) -> None:
     """Let heat spread over a surface."""
     console = Console(highlight=False)
+    check_output("--save", save, ".png", ".vtu", ".vtk", ".ply")
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
         surface = load_surface(mesh, console)
@@ -188,7 +192,7 @@ def diffuse_until(
 
 def save_state(path: Path, surface: TriMesh, points: np.ndarray, moments: list[np.ndarray], console: Console) -> None:
     """A picture of the moments, or the mesh with its last temperatures."""
-    if path.suffix != ".png":
+    if path.suffix.lower() != ".png":
         surface.save(path, fields=["T"])
         console.print(f"saved {path}")
         return

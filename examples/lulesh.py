@@ -22,7 +22,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +33,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 import ebb
 from ebb.domains import HexGrid, HexMesh
 from lulesh_regions import draw_regions, evaluations
-from outputs import save_arrays, why_unwritable
+from options import Backend, Threads, check_output
+from outputs import save_arrays
 from whole_steps import run_whole
 
 if TYPE_CHECKING:
@@ -592,14 +592,10 @@ def refuse_bad_input(size: int, regions: int, balance: int, mesh: str, dump: Pat
     weights = [(region + 1) ** balance for region in range(regions)] if regions <= size**3 and balance < 32 else []
     if regions > 1 and not (sum(weights) < min(2**31, 1e5 * sum(weights[:-1]))):
         raise typer.BadParameter(f"--balance {balance} leaves next to nothing to smaller regions")
-    if dump is not None and dump.suffix != ".npz":
-        raise typer.BadParameter(f"--dump writes a file that ends in .npz, not {dump}")
-    if save is not None and find_spec("meshio") is None:
-        raise typer.BadParameter('--save writes a VTK file, which needs meshio (pip install "ebblang[mesh]")')
-    for option, path in (("dump", dump), ("save", save)):
-        reason = None if path is None else why_unwritable(path)
-        if reason is not None:
-            raise typer.BadParameter(f"--{option} {path} cannot be written: {reason}")
+    check_output("--dump", dump, ".npz")
+    check_output("--save", save, ".vtk", ".png", "")
+    for suffix in (".vtk", ".png"):
+        check_output("--save", None if save is None else save.with_suffix(suffix), suffix)
 
 
 def main(
@@ -609,8 +605,8 @@ def main(
     balance: Annotated[int, typer.Option(help="how much larger later regions are", min=0)] = 1,
     cost: Annotated[int, typer.Option(help="how much more work later regions are", min=0)] = 1,
     mesh: Annotated[str, typer.Option(help="unstructured or grid")] = "unstructured",
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-    threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
+    backend: Backend = "cpu",
+    threads: Threads = None,
     dump_to: Annotated[Path | None, typer.Option("--dump", help="the last state as NumPy arrays (.npz)")] = None,
     save: Annotated[
         Path | None, typer.Option(help="the last state for VTK (.vtk) and a picture beside it (.png)")

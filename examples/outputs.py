@@ -14,10 +14,13 @@ import numpy as np
 
 def why_unwritable(path: Path) -> str | None:
     """Why no file can be written at ``path``, or None. Its folder is made, and a file is tried in it."""
-    if path.is_dir():
-        return "it is a folder"
-    if path.exists() and not os.access(path, os.W_OK):
-        return "it may not be changed"
+    try:
+        if path.is_dir():
+            return "it is a folder"
+        if path.exists() and not os.access(path, os.W_OK):
+            return "it may not be changed"
+    except OSError as error:  # its name is too long, say
+        return error.strerror or str(error)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=path.parent):

@@ -26,7 +26,7 @@ import fem
 import fem_neohookean
 from bodies import bunny_scan, fitted, load_solid, what_bunny_lacks
 from ebb.domains import TetMesh, TriMesh
-from outputs import why_unwritable
+from options import Backend, Threads, check_output, finite, positive
 from pictures import CLAY, Surface, save_strip
 
 SLATE = np.array([0.55, 0.64, 0.70])
@@ -36,6 +36,8 @@ RUBBER = fem.Material(young=1.2e5, poisson=0.4, density=1000.0)
 HELD = 0.1
 PULL = np.array([9.81, 0.0, -9.81])
 MOMENTS = 4
+
+SKINS = (".vtu", ".vtk", ".ply", ".off")
 
 farthest = ebb.Global(ebb.float64, 0.0)
 
@@ -184,21 +186,21 @@ def main(
     solid: Annotated[str | None, typer.Option(help="the file of a solid that holds the surface of the file")] = None,
     resolution: Annotated[int, typer.Option(help="tetrahedra of the solid along its longest side", min=1)] = 12,
     fix_orientation: Annotated[
-        bool, typer.Option(help="turn tetrahedra of the file that are inverted while others are not")
+        bool, typer.Option(help="turn tetrahedra of the solid's file that are inverted while others are not")
     ] = False,
     motion: Annotated[Motion, typer.Option(help="twist: about the z axis; sway: a soft body")] = Motion.TWIST,
-    turns: Annotated[float, typer.Option(help="how far the solid is twisted, in turns a metre")] = 0.2,
+    turns: Annotated[float, typer.Option(help="how far the solid is twisted, in turns a metre", callback=finite)] = 0.2,
     steps: Annotated[int, typer.Option(help="of the soft body", min=1)] = 45,
-    dt: Annotated[float, typer.Option(help="seconds a step of the soft body", min=1e-6)] = 0.01,
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-    threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
+    dt: Annotated[float, typer.Option(help="seconds a step of the soft body", callback=positive)] = 0.01,
+    backend: Backend = "cpu",
+    threads: Threads = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the skin (.vtu, .vtk, .ply, .off)")] = None,
 ) -> None:
     """Move a coarse solid, and let a fine surface follow."""
     console = Console(highlight=False)
-    reason = None if save is None else why_unwritable(save)
-    if reason is not None:
-        raise SystemExit(f"--save {save} cannot be written: {reason}")
+    check_output("--save", save, ".png", *SKINS)
+    if fix_orientation and solid is None:
+        raise typer.BadParameter("there is no --solid whose tetrahedra it could turn", param_hint="--fix-orientation")
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
         skin = load_skin(mesh, console, fit=solid is None)
@@ -211,10 +213,10 @@ def main(
         moments = run(motion, skin, body, turns, steps, dt)
         how = f"{turns:g} turns a metre" if motion is Motion.TWIST else f"{steps} steps of {dt:g} s"
         console.print(f"after {how}, the skin has moved by {distance(skin):.3g} m at most")
-        if save is not None and save.suffix == ".png":
+        if save is not None and save.suffix.lower() == ".png":
             console.print(f"drawn by {save_strip(save, moments)}", markup=False)
         elif save is not None:
-            skin.save(save, positions="q", fields=["normal"] if save.suffix in (".vtu", ".vtk") else [])
+            skin.save(save, positions="q", fields=["normal"] if save.suffix.lower() in (".vtu", ".vtk") else [])
         if save is not None:
             console.print(f"saved {save}")
     except (ValueError, ebb.EbbError, fem.StepError) as error:

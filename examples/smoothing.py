@@ -23,12 +23,15 @@ from rich.progress import track
 
 import ebb
 from ebb.domains import PolyMesh, TetMesh
-from outputs import why_unwritable
+from options import Backend, Threads, check_output, finite
 from pictures import CLAY, Surface, save_strip
 
 STEPS = 40
 FORWARD = 0.6  # of the way to the mean of what is around a vertex
 BACKWARD = 0.62  # with FORWARD: waves longer than some 14 faces stay (Taubin, section 3: 1 / 0.6 - 1 / 0.62 = 0.054)
+SURFACES = (".vtu", ".vtk", ".ply", ".obj", ".off")
+SOLIDS = (".vtu",)
+
 NOISE = 0.35  # of the mean length of the edges at a vertex
 
 SLATE = np.array([0.55, 0.64, 0.70])
@@ -259,7 +262,7 @@ def placed(shape: Surface) -> Surface:
 
 def save_meshes(path: Path, meshes: list[PolyMesh], moments: list[Surface], console: Console) -> None:
     """A picture of the meshes before and after, or the smooth mesh."""
-    if path.suffix == ".png":
+    if path.suffix.lower() == ".png":
         console.print(f"drawn by {save_strip(path, [placed(m) for m in moments], elevation=32)}", markup=False)
     else:
         meshes[0].save(path)
@@ -278,12 +281,8 @@ def check_options(mesh: str, method: str, save: Path | None) -> None:
     """Refuse, before anything is computed, what would fail at its end."""
     if method not in ("taubin", "laplace"):
         raise typer.BadParameter(f"--method should be taubin or laplace, not {method!r}")
-    if save is None:
-        return
-    reason = why_unwritable(save)
-    if reason is not None:
-        raise typer.BadParameter(f"--save {save} cannot be written: {reason}")
-    if mesh == "both" and save.suffix != ".png":
+    check_output("--save", save, ".png", *SURFACES)
+    if mesh == "both" and save is not None and save.suffix.lower() != ".png":
         raise typer.BadParameter("two meshes do not go into one file: choose one by --mesh, or save a picture (.png)")
 
 
@@ -293,11 +292,12 @@ def main(
     steps: Annotated[int, typer.Option(min=1)] = STEPS,
     method: Annotated[str, typer.Option(help="of a surface: taubin, or laplace, which shrinks it")] = "taubin",
     noise: Annotated[
-        float | None, typer.Option(help=f"of the length of edges; by default {NOISE}, and none in a file", min=0)
+        float | None,
+        typer.Option(help=f"of the length of edges; by default {NOISE}, and none in a file", min=0, callback=finite),
     ] = None,
     seed: Annotated[int, typer.Option(help="of the noise")] = 1,
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-    threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
+    backend: Backend = "cpu",
+    threads: Threads = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the smooth mesh (.vtu, .off, ...)")] = None,
 ) -> None:
     """Smooth a surface of triangles and quadrangles, and a solid of polyhedra."""
@@ -306,6 +306,8 @@ def main(
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
         meshes, moments = load_meshes(mesh, size), []
+        if any(chosen.cells.size for chosen in meshes.values()):
+            check_output("--save", save, ".png", *SOLIDS)
         for name, chosen in meshes.items():
             made = name in ("surface", "solid")
             prepare(chosen, (NOISE if made else 0.0) if noise is None else noise, seed)

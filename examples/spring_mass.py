@@ -22,6 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import ebb
 from bodies import Body, load_body
 from ebb.domains import TetMesh
+from options import Backend, Threads, check_output, finite, positive
 from pictures import CLAY, Surface, save_strip
 
 # In metres, kilograms and seconds, for a body 1 m across.
@@ -256,15 +257,20 @@ def choose_moments(moments: list[np.ndarray], count: int = 5) -> list[np.ndarray
 def main(
     mesh: Annotated[str, typer.Option(help="ball, bunny, or a file: a solid, or a closed surface to fill")] = "ball",
     steps: Annotated[int | None, typer.Option(help=f"how many; by default {SECONDS} seconds", min=1)] = None,
-    dt: Annotated[float | None, typer.Option(help="seconds a step; by default what is stable")] = None,
-    drop: Annotated[float, typer.Option(help="metres from the floor to the lowest point")] = 0.4,
+    dt: Annotated[
+        float | None, typer.Option(help="seconds a step; by default what is stable", callback=positive)
+    ] = None,
+    drop: Annotated[
+        float, typer.Option(help="metres from the floor to the lowest point", min=0, callback=finite)
+    ] = 0.4,
     resolution: Annotated[int, typer.Option(help="tetrahedra along the longest side", min=2)] = 20,
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-    threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
+    backend: Backend = "cpu",
+    threads: Threads = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png), or the last state (.vtu, .vtk, .veg)")] = None,
 ) -> None:
     """Drop a body of springs on the floor."""
     console = Console(highlight=False)
+    check_output("--save", save, ".png", ".vtu", ".vtk", ".veg")
     started = time.perf_counter()
     try:
         ebb.set_backend(backend, **({} if threads is None else {"threads": threads}))
@@ -276,12 +282,12 @@ def main(
         steps = steps or round(SECONDS / dt)
         console.print(f"{body.name}: {body.solid.tetrahedra.size} tetrahedra, {steps} steps of {dt:.3g} s")
         moments = simulate(body, steps, dt, console)
-        if save is not None and save.suffix == ".png":
+        if save is not None and save.suffix.lower() == ".png":
             triangles = surface(body)[1]
             drawn = save_strip(save, [Surface(points, triangles, CLAY) for points in choose_moments(moments)])
             console.print(f"drawn by {drawn}", markup=False)
         elif save is not None:
-            body.solid.save(save, positions="q", fields=[] if save.suffix == ".veg" else ["qd"])
+            body.solid.save(save, positions="q", fields=[] if save.suffix.lower() == ".veg" else ["qd"])
         if save is not None:
             console.print(f"saved {save}")
     except ebb.EbbError as error:

@@ -55,6 +55,7 @@ from fluid_stencils import (
     sample_3d,
 )
 from multigrid import METHODS, Hierarchy, Solved, Solver, Walls
+from options import Backend, Threads, finite, positive
 
 ADVECTIONS = ("linear", "maccormack")
 
@@ -287,15 +288,15 @@ def main(
         int | None, typer.Option(help="cells along the width; 256 in the plane, 64 in space", min=4)
     ] = None,
     steps: Annotated[int, typer.Option(min=1)] = 300,
-    dt: Annotated[float | None, typer.Option(help="the length of a step in seconds")] = None,
-    viscosity: Annotated[float | None, typer.Option(help="square metres a second", min=0)] = None,
-    diffusion: Annotated[float, typer.Option(help="of the dye, square metres a second", min=0)] = 0.0,
+    dt: Annotated[float | None, typer.Option(help="the length of a step in seconds", callback=positive)] = None,
+    viscosity: Annotated[float | None, typer.Option(help="square metres a second", min=0, callback=finite)] = None,
+    diffusion: Annotated[float, typer.Option(help="of the dye, square metres a second", min=0, callback=finite)] = 0.0,
     box: Annotated[str, typer.Option(help="periodic or walled; by default as the scene is")] = "",
     solver: Annotated[str, typer.Option(help=", ".join(METHODS))] = "multigrid",
     advection: Annotated[str, typer.Option(help=", ".join(ADVECTIONS))] = "maccormack",
-    tolerance: Annotated[float, typer.Option(help="of the solver")] = 1e-3,
-    backend: Annotated[str, typer.Option(help="cpu, opencl, cuda or reference")] = "cpu",
-    threads: Annotated[int | None, typer.Option(help="for cpu; by default all cores", min=1)] = None,
+    tolerance: Annotated[float, typer.Option(help="of the solver", min=0, callback=finite)] = 1e-3,
+    backend: Backend = "cpu",
+    threads: Threads = None,
     save: Annotated[Path | None, typer.Option(help="a picture (.png) of four moments")] = None,
     frames: Annotated[Path | None, typer.Option(help="a folder for a PNG file each few steps")] = None,
     animate: Annotated[Path | None, typer.Option(help="an animated file of those frames (.gif, .webp, .png)")] = None,
@@ -304,9 +305,8 @@ def main(
 ) -> None:
     """Let a fluid flow: smoke that rises, dye that is stirred, vortices that decay."""
     console = Console(highlight=False)
-    wrong = check_choices(scene, box, solver, advection, tolerance, dt) or check_outputs(save, frames, animate)
-    if wrong:
-        raise SystemExit(wrong)
+    check_choices(scene, box, solver, advection)
+    check_outputs(save, frames, animate)
     chosen = SCENES[scene]
     physics = Physics(
         chosen.viscosity if viscosity is None else viscosity, diffusion, chosen.buoyancy, advection, solver, tolerance
@@ -334,8 +334,8 @@ def main(
         raise SystemExit(str(error)) from None
 
 
-def check_choices(scene: str, box: str, solver: str, advection: str, tolerance: float, dt: float | None) -> str | None:
-    """What is wrong with the options that are one of several words, or None."""
+def check_choices(scene: str, box: str, solver: str, advection: str) -> None:
+    """Refuse what is wrong with the options that are one of several words."""
     for option, value, words in (
         ("scene", scene, tuple(SCENES)),
         ("box", box or "periodic", ("periodic", "walled")),
@@ -343,12 +343,7 @@ def check_choices(scene: str, box: str, solver: str, advection: str, tolerance: 
         ("advection", advection, ADVECTIONS),
     ):
         if value not in words:
-            return f"--{option} is one of {', '.join(words)}, not {value!r}"
-    if not (0 <= tolerance < float("inf")):
-        return f"--tolerance is a number from 0 on, not {tolerance:g}"
-    if dt is not None and not (0 < dt < float("inf")):
-        return f"--dt is a time above 0, not {dt:g}"
-    return None
+            raise typer.BadParameter(f"is one of {', '.join(words)}, not {value!r}", param_hint=f"--{option}")
 
 
 class Shots:

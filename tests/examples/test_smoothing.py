@@ -105,8 +105,7 @@ def test_the_program(tmp_path):
     for words, text in {
         ("--method", "fair"): "--method should be",
         ("--save", tmp_path / "both.vtu"): "two meshes do not go into one file",
-        ("--mesh", "solid", "--save", tmp_path): "is a folder",
-        ("--mesh", "solid", "--save", tmp_path / "ball.off" / "x.vtu"): "cannot be written",
+        ("--mesh", "solid", "--save", tmp_path / "solid.off"): "solid.off should end in .png or .vtu",
     }.items():
         result = invoke(*words)
         assert result.exit_code == 2, result.output
