@@ -7,7 +7,7 @@ import pytest
 
 import ebb
 
-SIZE = 5000
+SIZE, FEW = 5000, 250  # few where Python runs them row by row
 rate = ebb.Global(ebb.float64, 0.5)
 total = ebb.Global(ebb.float64, 0.0)
 
@@ -54,13 +54,13 @@ STEPS = {
 }
 
 
-def made():
+def made(size):
     random = np.random.default_rng(3)
-    rows = ebb.Relation("rows", size=SIZE, reorder=False)
-    rows.new_field("next", rows, init=random.permutation(SIZE))
+    rows = ebb.Relation("rows", size=size, reorder=False)
+    rows.new_field("next", rows, init=random.permutation(size))
     for name in "abcd":
-        rows.new_field(name, ebb.float64, init=random.random(SIZE))
-    mask = np.repeat(random.random(SIZE // 25) < 0.5, 25)
+        rows.new_field(name, ebb.float64, init=random.random(size))
+    mask = np.repeat(random.random(size // 25) < 0.5, 25)
     parts = [("left", mask), ("right", ~mask), ("both", np.roll(mask, 60))]
     return rows, *(rows.new_subset(*part) for part in parts)
 
@@ -75,7 +75,7 @@ def test_a_step_does_what_its_launches_do(backend, name, swaps):
     seen = []
     for captures in (False, True):
         total.value = 0.0
-        rows, left, right, both = made()
+        rows, left, right, both = made(FEW if backend == "reference" else SIZE)
         launches = STEPS[name](rows, left, right, both)
 
         def once(launches=launches, rows=rows):
