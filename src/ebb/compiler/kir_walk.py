@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from operator import attrgetter, is_
 from typing import Any, TypeAlias
 
@@ -111,8 +111,13 @@ def expressions(body: Body) -> list[Expr]:
 
 def queried_fields(kernel: kir.Kernel) -> tuple[Field, ...]:
     """The grouped key fields whose index the kernel uses, each once, in source order."""
-    loops = [stmt.index for stmt in statements(kernel.body) if isinstance(stmt, kir.ForQuery)]
-    sizes = [node.index for node in expressions(kernel.body) if isinstance(node, kir.QuerySize)]
+    return queried_in(statements(kernel.body), expressions(kernel.body))
+
+
+def queried_in(stmts: Iterable[Stmt], exprs: Iterable[Expr]) -> tuple[Field, ...]:
+    """The same for who has walked the kernel already: of its statements and its expressions."""
+    loops = [stmt.index for stmt in stmts if isinstance(stmt, kir.ForQuery)]
+    sizes = [expr.index for expr in exprs if isinstance(expr, kir.QuerySize)]
     return tuple(dict.fromkeys((*loops, *sizes)))
 
 

@@ -11,7 +11,6 @@ from ebb.backends.llvm.lane_ops import MASK, NUMBERS_64, wide
 from ebb.backends.llvm.lanes import Emitter, Flags
 from ebb.backends.llvm.row_plan import RowPlan
 from ebb.backends.llvm.row_strips import RowStrips
-from ebb.backends.llvm.row_values import Place
 from ebb.backends.llvm.transpose import LANES
 from ebb.compiler import lir
 
@@ -62,12 +61,7 @@ class _Runs(RowStrips):
         w.start(work)
         first, count = self.open_run(loop, turn, high)
         w.remember()
-        self.held[row.number] = Place(None, 1, first, 0)
-        self.body(self.loop.body)
-        self.memory.finish()
-        w.forget()
-        w.branch(closed)
-        w.start(closed)
+        self.run_strip(row, first, closed)
         w.do(f"{following} = add nsw i64 {turn}, {count}")
         w.do(f"{left} = add nsw i64 {patience}, {w.emit(f'sub nsw i64 {count}, {FEW}')}")
         w.branch(strip)

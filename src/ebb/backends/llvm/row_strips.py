@@ -79,12 +79,7 @@ class RowStrips:
         w.do(f"store i64 {turn}, ptr {self.start}")
         w.remember()
         self.open_strip(row, w.emit(f"sub nsw i64 {turn}, {row}"))
-        self.held[counter.number] = Place(None, 1, row, 0)
-        self.body(self.loop.body)
-        self.memory.finish()
-        w.forget()
-        w.branch(closed)
-        w.start(closed)
+        self.run_strip(counter, row, closed)
         w.do(f"{following} = add nsw i64 {turn}, {LANES}")
         more = w.emit(f"icmp slt i64 {following}, {high}")
         w.do(f"br i1 {more}, label %{strip}, label %{end}{note}")
@@ -100,6 +95,15 @@ class RowStrips:
         behind = self.v.broadcast("i64", done)
         self.active = self.mask = self.w.emit(f"icmp uge {wide('i64')} {NUMBERS_64}, {behind}")
         self.memory.open("uge", done, self.active)
+
+    def run_strip(self, counter: lir.Temp, first: str, closed: str) -> None:
+        """The body for the rows from ``first`` on; what follows is in the block ``closed``."""
+        self.held[counter.number] = Place(None, 1, first, 0)
+        self.body(self.loop.body)
+        self.memory.finish()
+        self.w.forget()
+        self.w.branch(closed)
+        self.w.start(closed)
 
     def open_sums(self) -> None:
         """Makes a vector for each sum of the loop."""

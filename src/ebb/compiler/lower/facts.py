@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TypeAlias, TypeVar
 
 from ebb.compiler import kir
-from ebb.compiler.kir_walk import expressions, statements
+from ebb.compiler.kir_walk import expressions, queried_in, statements
 from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.relation import Relation
@@ -77,12 +77,10 @@ def sources_of(kernel: kir.Kernel) -> FactSources:
     named = (target(expr.key.type) for expr in found if isinstance(expr, kir.RowId))
     read = [expr.field for expr in found if isinstance(expr, kir.ReadField)]
     changed = [stmt.field for stmt in stmts if isinstance(stmt, kir.WriteField | kir.ReduceField)]
-    loops = [stmt.index for stmt in stmts if isinstance(stmt, kir.ForQuery)]
-    sizes = [expr.index for expr in found if isinstance(expr, kir.QuerySize)]
     return FactSources(
         keys=_once(field for field in read if field.target is not None),
         numbered=_once((*drawn, *named)),
-        queried=_once((*loops, *sizes)),
+        queried=queried_in(stmts, found),
         shaped=_once(field for field in (*read, *changed) if field.type.size > 1),
     )
 

@@ -102,7 +102,8 @@ class BadElement(Diagnostic):
 
     @property
     def complaint(self) -> str:
-        raise NotImplementedError
+        """What is wrong with it, as the end of a sentence that begins with it."""
+        raise NotImplementedError(f"{type(self).__name__} has no complaint")
 
     @property
     def title(self) -> str:
