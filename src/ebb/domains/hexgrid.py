@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from ebb.domains.grid import Grid3D
 from ebb.domains.hexahedra import PLACES, SIDES, brick_points, bricks, check_hexahedra, grid_points, named_sides
 from ebb.domains.hexmesh import HexMesh
 from ebb.domains.io.data import MeshData
-from ebb.domains.io.files import write_mesh
+from ebb.domains.savable import Savable
 
 
 def _shifted(place: Iterable[int]) -> tuple[tuple[int, ...], ...]:
@@ -30,7 +29,7 @@ _ELEMENTS = tuple(map(_shifted, (-PLACES).tolist()))
 _SIDES = tuple(_shifted(way if axis == other else 0 for other in range(3)) for axis in range(3) for way in (-1, 1))
 
 
-class HexGrid:
+class HexGrid(Savable):
     """A box of hexahedra, straight or bent, whose elements and vertices are grid relations, so that no key is stored.
 
     In kernels elements have the members that those of a ``HexMesh`` have: ``e.corner(i)``, a vertex; ``e.xneg`` and so
@@ -136,25 +135,9 @@ class HexGrid:
         """A box with a corner at the origin, of nx * ny * nz bricks; the rest is as in ``from_grid``."""
         return cls(brick_points((nx, ny, nz), size), symmetry=symmetry, precision=precision)
 
-    def save(
-        self,
-        path: str | PathLike[str],
-        fields: Iterable[str | ebb.Field] = (),
-        positions: str | ebb.Field | None = None,
-    ) -> None:
-        """Write the solid in the format of meshio's that the suffix names, with the last axis fastest.
-
-        Args:
-            path: where to.
-            fields: to save with it: names of fields of the vertices, or fields of vertices or elements.
-            positions: the field of the vertices that says where they are, by default ``pos``.
-
-        Raises:
-            MeshFormatError: the file cannot be written, or has no place for a field.
-            BackendError: meshio is not installed.
-        """
+    def _to_save(self) -> tuple[MeshData, ebb.Relation]:
         made = bricks(np.empty((*self.vertices.shape, 3)))
-        write_mesh(path, MeshData(made.points, made.cells), self.vertices, self.elements, positions, fields)
+        return MeshData(made.points, made.cells), self.elements
 
     def __repr__(self) -> str:
         return f"<HexGrid: {' x '.join(map(str, self.shape))} elements>"

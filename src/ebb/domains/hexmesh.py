@@ -25,11 +25,12 @@ from ebb.domains.hexahedra import (
 )
 from ebb.domains.io.data import Integers, MeshData
 from ebb.domains.io.errors import WrongArray
-from ebb.domains.io.files import read_hexahedra, write_mesh
+from ebb.domains.io.files import read_hexahedra
+from ebb.domains.savable import Savable
 from ebb.errors import MeshFormatError
 
 
-class HexMesh:
+class HexMesh(Savable):
     """A solid of hexahedra, at each corner of which the three edges are right-handed.
 
     Make one by ``from_arrays``, ``from_grid``, ``box`` or ``load``. The corners of an element are numbered as in VTK
@@ -240,25 +241,8 @@ class HexMesh:
         """
         return cls(read_hexahedra(path), symmetry=symmetry, precision=precision, fix_orientation=fix_orientation)
 
-    def save(
-        self,
-        path: str | PathLike[str],
-        fields: Iterable[str | ebb.Field] = (),
-        positions: str | ebb.Field | None = None,
-    ) -> None:
-        """Write the solid in the format of meshio's that the suffix names (vtu, vtk, msh, ...).
-
-        Args:
-            path: where to.
-            fields: to save with it: names of fields of the vertices, or fields of vertices or elements.
-            positions: the field of the vertices that says where they are, by default ``pos``.
-
-        Raises:
-            MeshFormatError: the file cannot be written, or has no place for a field.
-            BackendError: meshio is not installed.
-        """
-        mesh = MeshData(np.empty((0, 3)), self.elements.v.to_numpy().astype(np.int64))
-        write_mesh(path, mesh, self.vertices, self.elements, positions, fields)
+    def _to_save(self) -> tuple[MeshData, ebb.Relation]:
+        return MeshData(np.empty((0, 3)), self.elements.v.to_numpy().astype(np.int64)), self.elements
 
     def __repr__(self) -> str:
         return (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from os import PathLike
 from typing import Any, Literal
 
@@ -15,8 +14,7 @@ from ebb.domains.checks import as_points, largest_of
 from ebb.domains.hexahedra import FACES
 from ebb.domains.hexmesh import HexMesh
 from ebb.domains.io.data import Integers, PolyData
-from ebb.domains.io.files import values_to_save
-from ebb.domains.io.polygons import read_polygons, write_polygons
+from ebb.domains.io.polygons import read_polygons
 from ebb.domains.polyhedra import (
     PolygonEdges,
     cell_faces,
@@ -28,12 +26,13 @@ from ebb.domains.polyhedra import (
     polygon_edges,
     ragged,
 )
+from ebb.domains.savable import Savable
 from ebb.domains.tetmesh import TetMesh
 from ebb.domains.topology import OUTWARD_FACES
 from ebb.domains.trimesh import TriMesh
 
 
-class PolyMesh:
+class PolyMesh(Savable):
     """A surface of any polygons, or a solid of any polyhedra.
 
     Make one by ``from_arrays``, ``from_mesh``, ``load`` or a generator. Each kind of element is a relation, and five
@@ -211,28 +210,8 @@ class PolyMesh:
         """
         return cls(read_polygons(path), manifold=manifold, precision=precision)
 
-    def save(
-        self,
-        path: str | PathLike[str],
-        fields: Iterable[str | ebb.Field] = (),
-        positions: str | ebb.Field | None = None,
-    ) -> None:
-        """Write a surface as OFF or in a format of meshio's (vtu, vtk, ply, obj, ...), or a solid as VTU.
-
-        But for OFF the faces of a surface, or the cells of a solid, are sorted by their number of vertices.
-
-        Args:
-            path: where to.
-            fields: to save with it: names of fields of the vertices, or fields of the vertices or of the faces of a
-                surface or of the cells of a solid.
-            positions: the field of the vertices that says where they are, by default ``pos``.
-
-        Raises:
-            MeshFormatError: the file cannot be written, or has no place for the mesh or a field.
-            BackendError: the format is one of meshio's, and meshio is not installed.
-        """
-        elements = self.cells if self.cells.size else self.faces
-        write_polygons(path, self._mesh, values_to_save(str(path), self.vertices, elements, positions, fields))
+    def _to_save(self) -> tuple[PolyData, ebb.Relation]:
+        return self._mesh, self.cells if self.cells.size else self.faces
 
     @classmethod
     def grid(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from os import PathLike
 from typing import Any, Literal
 
@@ -15,15 +14,16 @@ from ebb.domains.checks import Solid, check_rows, check_tetrahedra, largest_of, 
 from ebb.domains.embedding import embed_points
 from ebb.domains.io.data import Floats, Integers, Material, MeshData, Region
 from ebb.domains.io.errors import WrongArray
-from ebb.domains.io.files import read_tetrahedra, write_mesh
+from ebb.domains.io.files import read_tetrahedra
 from ebb.domains.lattice import fill_surface
 from ebb.domains.refinement import refine_tetrahedra
+from ebb.domains.savable import Savable
 from ebb.domains.topology import directed_edges
 from ebb.domains.trimesh import TriMesh, add_vertex_members, corner_relation
 from ebb.errors import MeshFormatError
 
 
-class TetMesh:
+class TetMesh(Savable):
     """A solid of tetrahedra of positive volume, that is, whose corners 1, 2, 3 turn right as seen from corner 0.
 
     Make one by ``from_arrays``, ``load``, ``from_surface`` or a generator. In kernels, for a vertex ``v``: ``v.edges``
@@ -156,24 +156,8 @@ class TetMesh:
         mesh = read_tetrahedra(path)
         return cls(mesh, self_edges=self_edges, precision=precision, fix_orientation=fix_orientation)
 
-    def save(
-        self,
-        path: str | PathLike[str],
-        fields: Iterable[str | ebb.Field] = (),
-        positions: str | ebb.Field | None = None,
-    ) -> None:
-        """Write the solid as VEG, or in the format of meshio's that the suffix names (vtu, vtk, msh, ...).
-
-        Args:
-            path: where to.
-            fields: to save with it: names of fields of the vertices, or fields of vertices or tetrahedra.
-            positions: the field of the vertices that says where they are, by default ``pos``.
-
-        Raises:
-            MeshFormatError: the file cannot be written, or has no place for a field.
-            BackendError: the format is one of meshio's, and meshio is not installed.
-        """
-        write_mesh(path, self._mesh, self.vertices, self.tetrahedra, positions, fields)
+    def _to_save(self) -> tuple[MeshData, ebb.Relation]:
+        return self._mesh, self.tetrahedra
 
     @classmethod
     def box(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from os import PathLike
 from typing import Any
 
@@ -12,13 +11,14 @@ import ebb
 from ebb.domains import generators
 from ebb.domains.checks import check_triangles, mesh_data
 from ebb.domains.io.data import Integers, MeshData
-from ebb.domains.io.files import read_triangles, write_mesh
+from ebb.domains.io.files import read_triangles
+from ebb.domains.savable import Savable
 from ebb.domains.topology import corner_rows, directed_edges, faces_of_tetrahedra, used_points
 
 _EDGES = {"e01": (0, 1), "e10": (1, 0), "e12": (1, 2), "e21": (2, 1), "e20": (2, 0), "e02": (0, 2)}
 
 
-class TriMesh:
+class TriMesh(Savable):
     """A surface of triangles that all turn the same way; it may have a boundary, and several parts.
 
     With ``manifold=False`` any number of triangles may meet at an edge, turning as they like.
@@ -89,24 +89,8 @@ class TriMesh:
         """
         return cls(read_triangles(path), manifold=manifold)
 
-    def save(
-        self,
-        path: str | PathLike[str],
-        fields: Iterable[str | ebb.Field] = (),
-        positions: str | ebb.Field | None = None,
-    ) -> None:
-        """Write the surface as OFF, or in the format of meshio's that the suffix names (vtu, vtk, ply, ...).
-
-        Args:
-            path: where to.
-            fields: to save with it: names of fields of the vertices, or fields of vertices or triangles.
-            positions: the field of the vertices that says where they are, by default ``pos``.
-
-        Raises:
-            MeshFormatError: the file cannot be written, or has no place for a field.
-            BackendError: the format is one of meshio's, and meshio is not installed.
-        """
-        write_mesh(path, self._mesh, self.vertices, self.triangles, positions, fields)
+    def _to_save(self) -> tuple[MeshData, ebb.Relation]:
+        return self._mesh, self.triangles
 
     @classmethod
     def icosphere(cls, subdivisions: int = 3, radius: float = 1.0) -> TriMesh:

@@ -67,26 +67,6 @@ def read_hexahedra(path: str | PathLike[str]) -> MeshData:
     return read_meshio(path, "hexahedron")
 
 
-def write_mesh(
-    path: str | PathLike[str],
-    mesh: MeshData,
-    vertices: ebb.Relation,
-    cells: ebb.Relation,
-    positions: str | ebb.Field | None,
-    fields: Iterable[str | ebb.Field],
-) -> None:
-    """Write the cells of ``mesh`` at ``positions``, a field of the vertices, with the values of ``fields``.
-
-    OFF (triangles) and VEG (tetrahedra) are written natively and hold no fields; the others are meshio's.
-
-    Raises:
-        MeshFormatError: the file cannot be written, or its format or the mesh has no place for a field.
-        BackendError: the format is one of meshio's, and meshio is not installed.
-    """
-    name = str(path)
-    _write(name, mesh, values_to_save(name, vertices, cells, positions, fields))
-
-
 @record(eq=False)
 class Saved:
     """What is saved of a mesh: where its points are, and values at points and cells by name."""
@@ -122,7 +102,16 @@ def values_to_save(
     return Saved(points, of_vertices, of_cells)
 
 
-def _write(name: str, mesh: MeshData, saved: Saved) -> None:
+def write_mesh(path: str | PathLike[str], mesh: MeshData, saved: Saved) -> None:
+    """Write the cells of ``mesh``, and the places of its points and the values that ``saved`` has.
+
+    OFF (triangles) and VEG (tetrahedra) are written natively and hold no fields; the others are meshio's.
+
+    Raises:
+        MeshFormatError: the file cannot be written, or its format has no place for the cells or a field.
+        BackendError: the format is one of meshio's, and meshio is not installed.
+    """
+    name = str(path)
     kind = {3: "triangle", 4: "tetra", 8: "hexahedron"}[mesh.cells.shape[1]]
     suffix = Path(name).suffix.lower()
     if suffix not in (".off", ".veg"):
