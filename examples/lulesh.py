@@ -288,17 +288,17 @@ def find_viscosity(z):
 
 
 @ebb.func
-def pressure(e, per_volume):
-    p = GAS * per_volume * e
+def pressure(e, gas_per_volume):
+    p = gas_per_volume * e
     return ebb.select(p < PRESSURE_CUT, 0.0, p)  # nor is any pressure below 0
 
 
 @ebb.func
 def speed_of_sound(e, p, v):
-    square = GAS / DENSITY * (e + p * v)
+    square = e + p * v  # but for a factor
     sound = SLOWEST_SOUND
-    if not square <= SLOWEST_SOUND * SLOWEST_SOUND:  # most gas is at rest and cold: roots take long
-        sound = ebb.sqrt(square)
+    if not square <= SLOWEST_SOUND * SLOWEST_SOUND * DENSITY / GAS:  # most gas is at rest and cold: roots take long
+        sound = ebb.sqrt(GAS / DENSITY * square)
     return sound
 
 
@@ -313,18 +313,18 @@ def evaluate_gas(z):
     v = ebb.clamp(z.new_vol, SMALLEST_VOLUME, LARGEST_VOLUME)
     change = z.new_vol - z.vol
     half_v = ebb.select(v <= SMALLEST_VOLUME, v, v - 0.5 * change)
-    per_half, per_v = 1 / half_v, ebb.select(v >= LARGEST_VOLUME, 0.0, 1 / v)
+    gas_per_half, gas_per_v = GAS / half_v, ebb.select(v >= LARGEST_VOLUME, 0.0, GAS / v)
     old = ebb.select(v >= LARGEST_VOLUME, 0.0, z.p) + z.q
     shrinks = ebb.select(change > 0, 0.0, 1.0)
 
     e = max(z.e - 0.5 * change * old, SMALLEST_ENERGY)
-    half_p = pressure(e, per_half)
+    half_p = pressure(e, gas_per_half)
     half = half_p + shrinks * (speed_of_sound(e, half_p, half_v) * z.linear_q + z.quadratic_q)
     e = held_energy(e + 0.5 * change * (3 * old - 4 * half))
-    p = pressure(e, per_v)
+    p = pressure(e, gas_per_v)
     q = shrinks * (speed_of_sound(e, p, v) * z.linear_q + z.quadratic_q)
     e = held_energy(e - 1 / 6 * change * (7 * old - 8 * half + p + q))
-    p = pressure(e, per_v)
+    p = pressure(e, gas_per_v)
     sound = speed_of_sound(e, p, v)
     q = shrinks * (sound * z.linear_q + z.quadratic_q)
     z.new_e = e

@@ -108,3 +108,27 @@ def test_rows_beside_a_run_fail_nothing() -> None:
     rows.fields["a"].load(a)
     with pytest.raises(ebb.KernelAssertionError, match=str(4 * 20 + 13)):
         _checked(rows.new_subset("again", mask))
+
+
+@ebb.kernel
+def _sided(x):
+    y = 1.0
+    if x.a > 0.9:
+        y = ebb.sqrt(x.a)
+        if x.a > 0.95:
+            y = 1 / y
+    if x.a < 0.1:
+        y += 1 / x.key.w[0]
+    x.scalar = y
+
+
+@pytest.mark.parametrize("name", _masks())
+def test_sides_of_conditions_may_be_taken_for_rows_beside_a_run(name: str) -> None:
+    """A side that only calculates is left out where no lane takes it, also none that is not to be done."""
+    mask, rows = _masks()[name], _rows()
+    a, others = rows.fields["a"].to_numpy(), rows.fields["key"].target.fields["w"].to_numpy()
+    _sided(rows.new_subset("some", mask))
+    root = np.sqrt(a)
+    expected = np.where(a > 0.9, np.where(a > 0.95, 1 / root, root), 1.0)
+    expected += np.where(a < 0.1, 1 / others[rows.fields["key"].to_numpy(), 0], 0.0)
+    assert np.allclose(rows.fields["scalar"].to_numpy(), np.where(mask, expected, 0.0), rtol=1e-15, atol=0)

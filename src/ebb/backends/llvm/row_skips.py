@@ -18,12 +18,14 @@ _QUICK = frozenset({"abs", "floor", "ceil", "trunc", "round", "copysign"})
 def is_left_out(side: lir.Body) -> bool:
     """Whether a side of a condition is left out where no lane takes it.
 
-    It is where it has a division, a root or another function that takes long, and does nothing but calculate.
+    It is where it has a division, a root or another function that takes long, and does nothing but load and calculate.
     """
-    inner = list(statements(side))
-    if not all(isinstance(stmt, lir.Let | lir.StoreVar | lir.If) for stmt in inner):
-        return False
-    return any(_is_slow(stmt.operation) for stmt in inner if isinstance(stmt, lir.Let))
+    return _changes_variables(side) and any(_is_slow(operation) for operation in _operations(side))
+
+
+def only_calculates(side: lir.Body) -> bool:
+    """Whether a side of a condition changes nothing but variables, and loads nothing."""
+    return _changes_variables(side) and not any(isinstance(operation, lir.Load) for operation in _operations(side))
 
 
 def leaves_out(loop: lir.RowLoop) -> bool:
@@ -40,6 +42,14 @@ def assigned(body: lir.Body) -> Iterator[tuple[lir.Var, int]]:
                 yield var, k
             case _:
                 pass
+
+
+def _changes_variables(side: lir.Body) -> bool:
+    return all(isinstance(stmt, lir.Let | lir.StoreVar | lir.If) for stmt in statements(side))
+
+
+def _operations(side: lir.Body) -> list[lir.Operation]:
+    return [stmt.operation for stmt in statements(side) if isinstance(stmt, lir.Let)]
 
 
 def _is_slow(operation: lir.Operation) -> bool:

@@ -17,7 +17,7 @@ from ebb.backends.llvm.lane_ops import NUMBERS_64, LaneWriter, identity, wide, w
 from ebb.backends.llvm.lanes import Emitter, Flags
 from ebb.backends.llvm.row_memory import RowMemory
 from ebb.backends.llvm.row_plan import RowPlan
-from ebb.backends.llvm.row_skips import assigned, is_left_out
+from ebb.backends.llvm.row_skips import assigned, is_left_out, only_calculates
 from ebb.backends.llvm.row_values import Held, Lanes, Place, Same
 from ebb.backends.llvm.transpose import LANES
 from ebb.compiler import lir
@@ -170,7 +170,9 @@ class RowStrips:
         holds = self.wide(condition)
         for side, body in ((holds, then), (self.v.inverted(holds) if orelse else "", orelse)):
             if body:
-                self.mask, self.nested = self.v.both(around[0], side), True
+                # Lanes that are not to be done may calculate too: to ask which these are takes longer.
+                anywhere = not around[1] and only_calculates(body)
+                self.mask, self.nested = side if anywhere else self.v.both(around[0], side), True
                 if is_left_out(body):
                     self.unless_nobody(body)
                 else:
