@@ -21,13 +21,14 @@ from ebb.runtime.replay import REPLAY
 from ebb.runtime.symbols import external_symbols
 from ebb.runtime.threads import openmp, usable_threads
 
-THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, THREAD_COUNT, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(12)
-BLOCK_CODE, FINISH_CODE = 12, 13
-HEADER_WORDS = 14
+THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(11)
+SHARES, TEAM, CHUNK, BLOCK_CODE, FINISH_CODE = range(11, 16)
+HEADER_WORDS = 16
 """The header: how many threads, blocks and rows; the boxes of the blocks; OpenMP's entries; the failure records; then
 what may run at once: the stretches of blocks that are the items, each as its first block and the one behind its last
 (no address: each block is an item); the item that each wave starts with; how many waves there are; and the present one.
-The items of a wave run at once. In each wave they ascend. Last where the entries of the kernel are."""
+The items of a wave run at once. In each wave they ascend. Then how they are shared: the shares, how many there are, and
+how many items a thread takes at a time. Last where the entries of the kernel are."""
 
 FAILURE_WORDS = 16
 """A thread's failure record: the site + 1 (0: none), the block, the row's position, and the payload."""
@@ -39,9 +40,14 @@ BLOCK_ENTRY, FINISH_ENTRY = "ebb_blocks", "ebb_finish"
 returns 1 on failure, which the record tells of, ``void FINISH_ENTRY(block*)`` does what is left behind the last wave.
 """
 
-LAUNCH, SHARE = "ebb_launch", "ebb_share"
+SHARE_WORDS = 16
+"""What a thread has left of a wave, in a word that has two cache lines to itself, since they are fetched in pairs: in
+its low half the first item, in its high half the one behind the last, both counted from the first of the wave."""
+
+LAUNCH, DEAL, SHARE = "ebb_launch", "ebb_deal", "ebb_share"
 """The entries of the driver: ``i64 LAUNCH(block*)`` runs everything on the threads of OpenMP and returns 1 on failure.
-For other threads there is ``void SHARE(block*, i64 thread, i64 threads)``, what one thread does of the present wave.
+For other threads there are ``void DEAL(block*, i64 threads)``, which shares the present wave out among threads, and
+``void SHARE(block*, i64 thread)``, what one of them does.
 """
 
 _links = itertools.count()
@@ -77,7 +83,7 @@ class ArgumentBlock:
         """Puts in place what a launch on several threads needs. One on a single thread need not wait for OpenMP."""
         runtime = openmp()
         if runtime is not None:
-            self.words[[FORK, THREAD_NUMBER, THREAD_COUNT]] = runtime.fork, runtime.thread_number, runtime.thread_count
+            self.words[[FORK, THREAD_NUMBER]] = runtime.fork, runtime.thread_number
 
     def take_failure(self) -> tuple[int, int, tuple[int, ...]]:
         """The site, position and payload of the first failure in the order of rows; the records are cleared.
@@ -109,13 +115,14 @@ class CpuCode:
 class Driver:
     """The machine code that takes launches, and captured steps, through that of kernels. It goes with this object."""
 
-    __slots__ = ("_tracker", "launch", "replay", "share")
+    __slots__ = ("_tracker", "deal", "launch", "replay", "share")
 
     def __init__(self, tracker: Any) -> None:
         self._tracker = tracker
         word, pointer = ctypes.c_int64, ctypes.c_void_p
         self.launch: Callable[[int], int] = ctypes.CFUNCTYPE(word, pointer)(tracker[LAUNCH])
-        self.share: Callable[[int, int, int], None] = ctypes.CFUNCTYPE(None, pointer, word, word)(tracker[SHARE])
+        self.deal: Callable[[int, int], None] = ctypes.CFUNCTYPE(None, pointer, word)(tracker[DEAL])
+        self.share: Callable[[int, int], None] = ctypes.CFUNCTYPE(None, pointer, word)(tracker[SHARE])
         self.replay: Callable[[int], int] = ctypes.CFUNCTYPE(word, pointer)(tracker[REPLAY])
 
 
@@ -124,10 +131,12 @@ class CpuDevice:
 
     Attributes:
         threads: how many threads a launch may use.
+        shares: what each of them has left to do of the present launch; there is one at a time.
     """
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
+        self.shares = aligned_zeros((threads, SHARE_WORDS), np.dtype(np.int64))
 
     def load(self, name: str, image: bytes) -> CpuCode:
         """Links the object code ``image`` into the process.
@@ -143,7 +152,7 @@ class CpuDevice:
         Raises:
             BackendError: it cannot be linked.
         """
-        return Driver(_link("driver", image, (LAUNCH, SHARE, REPLAY)))
+        return Driver(_link("driver", image, (LAUNCH, DEAL, SHARE, REPLAY)))
 
     def launch(self, driver: Driver, block: ArgumentBlock, shares: int) -> bool:
         """Runs the code of ``block`` over its blocks of rows, which at most ``shares`` threads share.
@@ -166,11 +175,12 @@ def _launch_on_python_threads(driver: Driver, block: ArgumentBlock, threads: int
     from concurrent.futures import ThreadPoolExecutor  # here: few machines get here
 
     def share(thread: int) -> None:
-        driver.share(block.address, thread, threads)
+        driver.share(block.address, thread)
 
     with ThreadPoolExecutor(threads) as pool:
         for wave in range(block.numbers[WAVES]):
             block.numbers[WAVE] = wave
+            driver.deal(block.address, threads)
             list(pool.map(share, range(threads)))
     if block.failures[:, 0].any():
         return True

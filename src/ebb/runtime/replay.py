@@ -36,11 +36,10 @@ TURN, TURNS, TABLE, LAUNCHES = range(4)
 """What runs together, an array that an operation points to: the next turn and how many there are, the table of turns,
 and that of launches. A turn is one block through some launches."""
 
-FIRST, BEHIND, NUMBER, NUMBERS = range(4)
-"""A turn: its first launch and the one behind its last, the block and how many there are. A launch: its argument
-block."""
+FIRST, BEHIND, NUMBER = range(3)
+"""A turn: its first launch and the one behind its last, and the block. A launch: its argument block."""
 
-TURN_WORDS, TOGETHER_WORDS = 4, 4
+TURN_WORDS, TOGETHER_WORDS = 3, 4
 
 WHAT, FORK_BY, TEAM = 1, 2, 3
 """Launches that run together: what runs, OpenMP's entry, how many threads. Before it come those launches as PLACE,

@@ -46,7 +46,6 @@ class OpenMP:
     path: str
     fork: int
     thread_number: int
-    thread_count: int
 
 
 @record(frozen=False)
@@ -141,9 +140,7 @@ def openmp() -> OpenMP | None:
     for path in _candidates():
         try:
             library = _load(path)
-            entries = [
-                _address(library, name) for name in ("GOMP_parallel", "omp_get_thread_num", "omp_get_num_threads")
-            ]
+            entries = [_address(library, name) for name in ("GOMP_parallel", "omp_get_thread_num")]
         except (OSError, AttributeError):
             continue
         return OpenMP(path, *entries)

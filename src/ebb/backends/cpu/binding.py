@@ -35,6 +35,7 @@ from ebb.runtime.cpu import (
     FINISH_CODE,
     ITEMS,
     ROWS,
+    SHARES,
     STARTS,
     THREADS,
     WAVES,
@@ -81,7 +82,7 @@ class Binding:
         self._device = device
         self._layout = layout_of(interface)
         self._block = ArgumentBlock(self._layout.words, device.threads)
-        self._block.words[[BLOCK_CODE, FINISH_CODE]] = code.blocks, code.finish
+        self._block.words[[BLOCK_CODE, FINISH_CODE, SHARES]] = code.blocks, code.finish, device.shares.ctypes.data
         self.rows = rows
         self.phases = draft.step.phases
         self._rows = rows.size

@@ -22,7 +22,7 @@ from ebb.relations.field import Field
 from ebb.relations.globals import Global
 from ebb.runtime import random
 from ebb.runtime.buffer import Array, host_code_uses
-from ebb.runtime.cpu import FAILURE_WORDS, FAILURES, THREADS, Driver
+from ebb.runtime.cpu import THREADS, Driver
 from ebb.runtime.replay import (
     BUFFERS,
     COUNT,
@@ -170,20 +170,18 @@ class Replay:
 
     def _add_together(self, group: Together) -> None:
         """Adds launches that run together: those that put addresses in place, then what runs."""
-        launches, turns = list[int](), list[tuple[int, int, int, int]]()
-        failures = np.zeros(FAILURE_WORDS * max([each[0].binding.blocks for each in group.launches.values()]), np.int64)
+        launches, turns = list[int](), list[tuple[int, int, int]]()
         for each in group.launches.values():
             first, blocks = len(launches), each[0].binding.blocks
             for launch in each:
                 words = self._add_launch(launch, Kind.PLACE)
-                words[FAILURES] = failures.ctypes.data  # each block is a share, which looks whether it has failed
                 launches.append(words.ctypes.data)
-            turns += [(first, len(launches), block, blocks) for block in range(blocks)]
+            turns += [(first, len(launches), block) for block in range(blocks)]
         turns.sort(key=lambda turn: turn[0] - turn[1])  # the longest first: so threads end at about the same time
         tables = np.array(turns, dtype=np.int64), np.array(launches, dtype=np.int64)
         what = np.zeros(TOGETHER_WORDS, dtype=np.int64)
         what[[TURNS, TABLE, LAUNCHES]] = len(turns), tables[0].ctypes.data, tables[1].ctypes.data
-        self._kept += [tables, what, failures]
+        self._kept += [tables, what]
         bindings = [launch.binding for launch in chain(*group.launches.values())]
         self._teams.append((len(self._rows), bindings))
         runtime = openmp() if max([binding.threads() for binding in bindings]) > 1 else None

@@ -69,8 +69,6 @@ def _write_blocks(program: lir.Program, module: ModuleWriter) -> None:
     w.branch_if(w.emit(f"icmp eq i64 {failed}, 0"), "head", "done")
     w.start("done")
     result = w.emit("phi i64 [ 0, %head ], [ 1, %turn ]")
-    if program.streams is not None:
-        w.do("fence seq_cst")  # what has been stored past the cache is there before other threads go on
     w.do(f"ret i64 {result}")
     w.finish(f"define i64 @{BLOCK_ENTRY}(ptr %args, ptr %failure, i64 %first, i64 %end) {AS_WRITTEN}")
 

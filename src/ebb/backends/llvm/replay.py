@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ebb.backends.llvm.entry import AS_WRITTEN
-from ebb.runtime.cpu import LAUNCH, SHARE
+from ebb.runtime.cpu import BLOCK_CODE, FAILURES, LAUNCH
 from ebb.runtime.replay import (
     BEHIND,
     BLOCK,
@@ -18,7 +18,6 @@ from ebb.runtime.replay import (
     LAUNCHES,
     LEFT,
     NUMBER,
-    NUMBERS,
     OPERATION_WORDS,
     OPERATIONS,
     PLACE_COUNT,
@@ -67,18 +66,21 @@ begin:
   {word("first", "words", FIRST)}
   {word("behind", "words", BEHIND)}
   {word("number", "words", NUMBER)}
-  {word("numbers", "words", NUMBERS)}
+  %behind.it = add i64 %number, 1
   br label %launch
 
 launch:
   %this = phi i64 [ %first, %begin ], [ %following, %launch ]
   {word("block", "launches", "%this", "ptr")}
-  call void @{SHARE}(ptr %block, i64 %number, i64 %numbers)
+  {word("code", "block", BLOCK_CODE, "ptr")}
+  {word("failures", "block", FAILURES, "ptr")}
+  %failed = call i64 %code(ptr %block, ptr %failures, i64 %number, i64 %behind.it)
   %following = add i64 %this, 1
   %more = icmp ult i64 %following, %behind
   br i1 %more, label %launch, label %take
 
 done:
+  fence seq_cst
   ret void
 }}
 
