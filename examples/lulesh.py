@@ -307,26 +307,34 @@ def held_energy(e):
     return max(ebb.select(abs(e) < ENERGY_CUT, 0.0, e), SMALLEST_ENERGY)
 
 
+@ebb.func
+def shock_viscosity(z, change, sound):
+    return ebb.select(change > 0, 0.0, sound * z.linear_q + z.quadratic_q)  # none where the gas expands
+
+
 @ebb.kernel
 def evaluate_gas(z):
-    """Energy, pressure and viscosity after the change of volume, by a predictor and two correctors."""
+    """Energy, pressure and viscosity after the change of volume, by a predictor and two correctors.
+
+    What is known last is added last, so that a processor that has several zones in hand waits for less.
+    """
     v = ebb.clamp(z.new_vol, SMALLEST_VOLUME, LARGEST_VOLUME)
     change = z.new_vol - z.vol
-    half_v = ebb.select(v <= SMALLEST_VOLUME, v, v - 0.5 * change)
-    gas_per_half, gas_per_v = GAS / half_v, ebb.select(v >= LARGEST_VOLUME, 0.0, GAS / v)
-    old = ebb.select(v >= LARGEST_VOLUME, 0.0, z.p) + z.q
-    shrinks = ebb.select(change > 0, 0.0, 1.0)
+    half_v = ebb.select(z.new_vol <= SMALLEST_VOLUME, v, v - 0.5 * change)
+    thin = z.new_vol >= LARGEST_VOLUME
+    gas_per_half, gas_per_v = GAS / half_v, ebb.select(thin, 0.0, GAS / v)
+    old = ebb.select(thin, 0.0, z.p) + z.q
 
     e = max(z.e - 0.5 * change * old, SMALLEST_ENERGY)
     half_p = pressure(e, gas_per_half)
-    half = half_p + shrinks * (speed_of_sound(e, half_p, half_v) * z.linear_q + z.quadratic_q)
-    e = held_energy(e + 0.5 * change * (3 * old - 4 * half))
+    half = half_p + shock_viscosity(z, change, speed_of_sound(e, half_p, half_v))
+    e = held_energy(e + 1.5 * change * old - 2 * change * half)
     p = pressure(e, gas_per_v)
-    q = shrinks * (speed_of_sound(e, p, v) * z.linear_q + z.quadratic_q)
-    e = held_energy(e - 1 / 6 * change * (7 * old - 8 * half + p + q))
+    q = shock_viscosity(z, change, speed_of_sound(e, p, v))
+    e = held_energy(e - 1 / 6 * change * (7 * old - 8 * half + q) - 1 / 6 * change * p)
     p = pressure(e, gas_per_v)
     sound = speed_of_sound(e, p, v)
-    q = shrinks * (sound * z.linear_q + z.quadratic_q)
+    q = shock_viscosity(z, change, sound)
     z.new_e = e
     z.new_p = p
     z.new_q = ebb.select(abs(q) < VISCOSITY_CUT, 0.0, q)
