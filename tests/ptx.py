@@ -184,6 +184,7 @@ class PtxBackend:
         self.images: list[tuple[int, str]] = []
         self._cpu: Backend = cpu_backend(threads=1)
         self.stages, self.reorders = self._cpu.stages, self._cpu.reorders
+        self.facts_cache = None
         self._gpus = [
             DeviceBackend(
                 "ptx",

@@ -16,8 +16,7 @@ import numpy as np
 
 from ebb.backends.backend import Replay, RunKernel, SetGlobal, SwapFields
 from ebb.backends.select import current_backend
-from ebb.compiler import kir
-from ebb.compiler.kir_walk import statements
+from ebb.compiler.phases.order import InOrder
 from ebb.errors import BackendError, EbbError, trimmed
 from ebb.launch import Launch
 from ebb.records import record
@@ -168,9 +167,8 @@ class _Recorder:
 
     def record_launch(self, launch: Launch, uniforms: Sequence[Any]) -> None:
         """Takes down a launch; arrays are copied, since the program may change them."""
-        checked = launch.specialisation.checked
-        kernel = checked.kernel
-        if any(isinstance(stmt, kir.Print) for stmt in statements(kernel.body)):
+        kernel = launch.specialisation.facts.outline
+        if kernel.in_order is InOrder.PRINTS:
             refuse(f"a launch of kernel '{kernel.name}', which prints,", "launch it when the step has run")
         for field in launch.specialisation.written:
             if field.holds_keys:

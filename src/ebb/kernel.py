@@ -15,36 +15,40 @@ from types import CodeType, FrameType, FunctionType
 from typing import Any, overload
 
 from ebb.backends.backend import ANYWHERE, CheckedKernel, Hints
+from ebb.backends.kept_facts import FactsFile
 from ebb.backends.select import current_backend
-from ebb.compiler import kir, kir_print
+from ebb.compiler import kir_print
 from ebb.compiler.arguments import argument_type, check_argument
-from ebb.compiler.elaborate.elaborate import elaborate
 from ebb.compiler.elaborate.errors import NotAFunction
 from ebb.compiler.elaborate.errors_syntax import TooDeep
 from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.guards import Guard
-from ebb.compiler.elaborate.parameters import FieldName, ParameterType, parameter_types, row_annotation
-from ebb.compiler.elaborate.source import SourceFunction, find_source
+from ebb.compiler.elaborate.parameters import (
+    FieldName,
+    ParameterType,
+    parameter_types,
+    plain_signature,
+    row_annotation,
+)
+from ebb.compiler.elaborate.source import Scope, SourceFunction
+from ebb.compiler.facts import LaunchFacts, launch_facts
 from ebb.compiler.inputs import Inputs
 from ebb.compiler.launch_errors import (
     ArgumentCount,
     ArgumentType,
+    CaptureChanged,
     NotRows,
     RowsMismatch,
     UnknownStage,
     checked_block_size,
 )
-from ebb.compiler.phases.check import check_phases
-from ebb.compiler.phases.reach import collect_reaches
-from ebb.compiler.phases.stencil import check_stencil, collect_stencil
-from ebb.compiler.pipeline import PASSES, Unverified, run_passes
+from ebb.compiler.scatter.step import OutlinedStep
+from ebb.compiler.whole import Whole, make_whole
 from ebb.errors import EbbError, KernelSyntaxError, KernelTypeError, trimmed
 from ebb.launch import Launch, Specialisation
 from ebb.records import field, record, replace
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
-from ebb.runtime.collection import uncollected
-from ebb.runtime.recording import suspended
 from ebb.types.types import Type
 
 _BLOCK_SIZE = "block_size"
@@ -75,10 +79,8 @@ class Kernel:
             raise KernelSyntaxError(NotAFunction(function))
         functools.update_wrapper(self, function)
         self._name = function.__name__
-        self._function = function
+        self._scope = Scope(function, text, frame_locals or {})
         self._hints = replace(hints, block_size=checked_block_size(self._name, hints.block_size))
-        self._text = text
-        self._frame_locals = frame_locals
         self._sized: dict[int, Kernel] = {}
 
     def __repr__(self) -> str:
@@ -171,16 +173,18 @@ class Kernel:
         Raises:
             KernelSyntaxError: Python keeps no source of the function, or what it keeps is not this function.
         """
-        return find_source(self._function, self._text, self._frame_locals)
+        return self._scope.source()
 
     @functools.cached_property
     def _signature(self) -> inspect.Signature:
-        parameters = list(inspect.signature(self._function).parameters.values())
+        parameters = list(inspect.signature(self._scope.function).parameters.values())
         return inspect.Signature([p.replace(annotation=inspect.Parameter.empty) for p in parameters[1:]])
 
     @functools.cached_property
     def _declared(self) -> tuple[tuple[str, Type | type[str] | None], ...]:
-        return tuple(parameter_types(self.source).items())
+        plain = plain_signature(self._scope)
+        declared = parameter_types(self.source) if plain is None else plain.parameters
+        return tuple(declared.items())
 
     def _meant(self, named: dict[str, Any]) -> Kernel:
         """The kernel with the block size that a call asks for, which is taken out of ``named``; else this kernel."""
@@ -191,7 +195,7 @@ class Kernel:
             return self
         if size not in self._sized:
             hints = replace(self._hints, block_size=size)
-            self._sized[size] = Kernel(self._function, hints, self._text, self._frame_locals)
+            self._sized[size] = Kernel(self._scope.function, hints, self._scope.text, self._scope.locals)
         return self._sized[size]
 
     def _launch_of(self, rows: Any, parameters: tuple[Any, ...], named: Mapping[str, Any]) -> Launch:
@@ -248,52 +252,67 @@ class Kernel:
             if launch.specialisation.types == types and launch.specialisation.holds(arguments):
                 return launch
         specialisation = self._find_specialisation(rows.relation, types, arguments)
-        checked = specialisation.checked
-        check_stencil(checked.kernel, checked.stencil, rows)
+        specialisation.check_rows(rows)
         launch = Launch(specialisation, rows)
         launches.append(launch)
         return launch
 
     def _find_specialisation(self, relation: Relation, types: _Types, arguments: tuple[Any, ...]) -> Specialisation:
-        expected = row_annotation(self.source)
+        plain = plain_signature(self._scope)
+        expected = row_annotation(self.source) if plain is None else plain.row
         if expected is not None and expected is not relation:
             raise KernelTypeError(RowsMismatch(self._name, expected.name, relation.name))
         known = self._compiled(relation).specialisations.setdefault(types, [])
         for specialisation in known:
             if specialisation.holds(arguments):
                 return specialisation
-        specialisation = self._specialise(relation, types)
+        specialisation = self._specialise(relation, types, arguments)
         known.append(specialisation)
         return specialisation
 
-    def _specialise(self, relation: Relation, types: _Types) -> Specialisation:
+    def _specialise(self, relation: Relation, types: _Types, arguments: tuple[Any, ...]) -> Specialisation:
+        kept = current_backend().facts_cache
+        file = None if kept is None else FactsFile(self._scope, relation, types, kept)
+        found = None if file is None else file.find(arguments)
+        if found is not None:
+            return self._known(relation, types, *found)
         try:
-            with uncollected():
-                return self._compile(relation, types)
+            whole = make_whole(self.source, relation, types)
         except RecursionError:
             raise KernelSyntaxError(TooDeep(self._name)) from None
+        facts = launch_facts(whole)
+        if file is not None:
+            file.put(whole.trail, whole.guards, facts)
+        checked = CheckedKernel(whole.step, self._hints, whole.verify)
+        return self._specialisation(checked, facts, whole.guards, types)
 
-    def _inputs(self, types: _Types, guards: tuple[Guard, ...], kernel: kir.Kernel) -> Inputs:
+    def _known(
+        self, relation: Relation, types: _Types, facts: LaunchFacts, guards: tuple[Guard, ...]
+    ) -> Specialisation:  # fmt: skip
+        """The specialisation of which these facts are known. Its kernel is made when somebody asks for it."""
+        made: list[Whole] = []
+        scope = self._scope  # not the kernel, which its launches must not hold
+
+        def make() -> Whole:
+            if not made:
+                whole = make_whole(scope.source(), relation, types)
+                if not facts.outline.is_of(whole.step.outline):
+                    raise KernelTypeError(CaptureChanged(facts.outline.name))
+                made.append(whole)
+            return made[0]
+
+        step = OutlinedStep(facts.outline, facts.phases, lambda: make().step)
+        return self._specialisation(
+            CheckedKernel(step, self._hints, lambda: make().verify()), facts, guards, types
+        )  # fmt: skip
+
+    def _specialisation(
+        self, checked: CheckedKernel, facts: LaunchFacts, guards: tuple[Guard, ...], types: _Types
+    ) -> Specialisation:
         declared = [each for _, each in self._declared]
-        return Inputs(self._name, tuple(zip(types, declared, strict=True)), guards, kernel.uniforms)
-
-    def _compile(self, relation: Relation, types: _Types) -> Specialisation:
-        with suspended():  # libraries may make an index when a kernel first asks for it
-            elaborated = elaborate(self.source, relation, types)
-        phases = check_phases(elaborated.kernel)
-        unverified = Unverified()
-        kernel = run_passes(elaborated.kernel, PASSES, unverified.add)
-        checked = CheckedKernel(kernel, phases, collect_stencil(kernel), self._hints, unverified.verify)
-        return Specialisation(
-            checked,
-            elaborated.guards,
-            indexes=tuple(f for f, phase in phases.fields.items() if phase.queried),
-            used=tuple(phases.fields),
-            written=tuple(f for f, phase in phases.fields.items() if phase.changed),
-            reaches=collect_reaches(kernel),
-            types=types,
-            inputs=self._inputs(types, elaborated.guards, kernel),
-        )
+        pairs = tuple(zip(types, declared, strict=True))
+        inputs = Inputs(self._name, pairs, guards, facts.outline.uniforms)
+        return Specialisation(checked, facts, guards, types, inputs)
 
 
 @overload

@@ -15,14 +15,14 @@ from ebb.backends.select import current_backend
 from ebb.compiler.arguments import uniform_values
 from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import ParameterType
+from ebb.compiler.facts import LaunchFacts
 from ebb.compiler.inputs import Inputs
-from ebb.compiler.pace import pace_of
-from ebb.compiler.phases.residency import overwritten
+from ebb.compiler.phases.stencil import check_stencil, collect_stencil, stays_inside
 from ebb.records import field, record
 from ebb.relations.field import Field
 from ebb.relations.layout import consider_layout, may_convert
 from ebb.relations.ordering import consider_order, may_reorder
-from ebb.relations.reach import Pace, Reach
+from ebb.relations.reach import Pace
 from ebb.relations.subset import RowSet
 from ebb.runtime.epoch import structure
 from ebb.runtime.recording import anyone_records, recorder, suspended
@@ -37,11 +37,8 @@ class Specialisation:
     """A kernel for one relation and one set of parameter types, as long as its guards hold."""
 
     checked: CheckedKernel
+    facts: LaunchFacts
     guards: tuple[Guard, ...]
-    indexes: tuple[Field, ...]
-    used: tuple[Field, ...]
-    written: tuple[Field, ...]
-    reaches: tuple[Reach, ...]
     types: tuple[ParameterType, ...]
     inputs: Inputs
     executables: dict[Backend, Executable] = field(default_factory=dict[Backend, Executable])
@@ -56,12 +53,32 @@ class Specialisation:
         Raises:
             KernelTypeError: a captured name or an operation has no value, or one that does not fit.
         """
-        kernel = self.checked.kernel
+        kernel = self.facts.outline
         return uniform_values(kernel.name, kernel.uniforms, parameters)
+
+    @property
+    def indexes(self) -> tuple[Field, ...]:
+        """The grouped key fields whose index the kernel uses."""
+        return tuple([field for field, phase in self.facts.phases.fields.items() if phase.queried])
+
+    @property
+    def written(self) -> tuple[Field, ...]:
+        """The fields that the kernel may change."""
+        return tuple([field for field, phase in self.facts.phases.fields.items() if phase.changed])
 
     def pace(self) -> Pace:
         """How the kernel goes over its rows."""
-        return pace_of(self.checked.kernel)
+        return self.facts.pace
+
+    def check_rows(self, rows: RowSet) -> None:
+        """Checks that no access leaves its grid when the kernel runs on ``rows``.
+
+        Raises:
+            BoundsError: some do; all of them are reported.
+        """
+        if not stays_inside(self.facts.moves, rows):
+            kernel = self.checked.kernel
+            check_stencil(kernel, collect_stencil(kernel), rows)
 
     def refresh(self) -> None:
         """Makes the groupings that the kernel queries valid."""
@@ -100,7 +117,7 @@ class Launch:
         self._written_values = [each for each in specialisation.written if not each.holds_keys]
         self._written_keys = [each for each in specialisation.written if each.holds_keys]
         self._set_keys = self._keys_set()
-        self._chooses = may_reorder(rows, specialisation.reaches) or may_convert(specialisation.reaches)
+        self._chooses = may_reorder(rows, specialisation.facts.reaches) or may_convert(specialisation.facts.reaches)
         self._bound: Bound | None = None
         self._epoch: object = None
         self._runs = 0
@@ -142,10 +159,7 @@ class Launch:
 
     def _keys_set(self) -> list[Field]:
         """The key fields of which no key is unset any more once the kernel has run for all of its rows."""
-        checked = self.specialisation.checked
-        if not self._written_keys or self.rows.size < self.rows.relation.size:
-            return []
-        return [each for each in overwritten(checked.kernel, checked.phases) if each.holds_keys]
+        return [] if self.rows.size < self.rows.relation.size else list(self.specialisation.facts.sets)
 
     def _settle_or_record(self, uniforms: Sequence[Any]) -> Bound | None:
         """What to run, or None where the launch was taken down for a step instead."""
@@ -196,10 +210,10 @@ class Launch:
         specialisation = self.specialisation
         backend = current_backend()
         if backend.reorders:
-            consider_order(self.rows, specialisation.reaches, self._runs, changing)
-        consider_layout(self.rows, specialisation.reaches, specialisation.pace, self._runs)
+            consider_order(self.rows, specialisation.facts.reaches, self._runs, changing)
+        consider_layout(self.rows, specialisation.facts.reaches, specialisation.pace, self._runs)
         specialisation.refresh()
-        for used in specialisation.used:
+        for used in specialisation.facts.phases.fields:
             used.check_no_view()
         bound = specialisation.executable(backend).bind(self.rows, changing)
         self._runs += 1

@@ -145,7 +145,7 @@ def test_captured_numbers_are_those_at_the_recording(backend):
     with ebb.capture() as step:
         add(rows, 0.5)
         add(rows, b=100)
-    add._function.__globals__["a"] = 1000.0
+    add.__wrapped__.__globals__["a"] = 1000.0
     names["direction"][:] = 77
     step.run(2)
     assert rows.x.to_numpy().tolist() == [2 * (2.5 + 102.0)] * 2

@@ -13,11 +13,13 @@ from ebb.backends.select import current_backend
 from ebb.compiler.kir_verify import verify_kernel
 from ebb.compiler.phases.check import check_phases
 from ebb.compiler.phases.stencil import check_stencil, collect_stencil
+from ebb.compiler.scatter.step import Step
 
 
 def checked(kernel, fastmath=False):
     verify_kernel(kernel)
-    return CheckedKernel(kernel, check_phases(kernel), collect_stencil(kernel), Hints(fastmath=fastmath))
+    unchecked = tuple(access.node for access in collect_stencil(kernel))
+    return CheckedKernel(Step(kernel, check_phases(kernel), unchecked), Hints(fastmath=fastmath))
 
 
 def changed_fields(kernel):

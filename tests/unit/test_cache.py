@@ -15,10 +15,11 @@ from kir_forms import OnRows, binary, const, read, write
 import ebb.backends.llvm.optimize as optimizing
 from ebb.backends import cache as caching
 from ebb.backends import known
-from ebb.backends.cache import DEFAULT_LIMIT, ObjectCache, cache_directory, cache_limit, cache_usage, key_of
+from ebb.backends.cache import DEFAULT_LIMIT, ObjectCache, cache_directory, cache_limit, cache_usage
 from ebb.backends.cpu import CpuBackend, backend, cpu_backend
 from ebb.relations.relation import Relation
 from ebb.runtime.cpu import CpuDevice
+from ebb.runtime.digest import key_of
 from ebb.types.types import float32
 
 KEY = "5" * 64
@@ -35,7 +36,7 @@ def nothing_said_yet(monkeypatch):
 @pytest.fixture(autouse=True)
 def settled_sources(monkeypatch):
     """Files of the package that were changed just now would keep the interfaces out of the cache."""
-    monkeypatch.setattr(known, "_sources", lambda: "these")
+    monkeypatch.setattr(known, "package_state", lambda: "these")
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ import ebb
 from ebb.backends import kernel_code, known
 from ebb.backends.cache import ObjectCache
 from ebb.backends.cpu import cpu_backend
-from ebb.backends.kernel_code import Lowering, launched_as, step_of
+from ebb.backends.kernel_code import Lowering, launched_as
 from ebb.compiler import lir, lir_print
 from ebb.compiler.interface import interface_of, packed, unpacked
 from ebb.compiler.kir_key import kernel_key
@@ -29,7 +29,7 @@ PLAIN = Lowering(lir.Precision.CONTRACT, lir.Updates.PLAIN)
 
 @pytest.fixture(autouse=True)
 def settled_sources(monkeypatch):
-    monkeypatch.setattr(known, "_sources", lambda: "these")
+    monkeypatch.setattr(known, "package_state", lambda: "these")
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def steps(made):
     for kernel, rows in made.rows.items():
         kernel.check(rows)
         (specialisation,) = rows.storage.compiled[kernel].specialisations[()]
-        found[kernel.__name__] = step_of(specialisation.checked)
+        found[kernel.__name__] = specialisation.checked.step
     return found
 
 

@@ -394,7 +394,7 @@ def test_stencils_chain_and_stay_within_the_launched_rows():
     twice = affine(grid, up, affine(grid, up, on.row))
     total = binary("+", read(grid.x, twice), read(grid.x, affine(grid, down_left, affine(grid, right, on.row))))
     kernel = on.kernel(write(grid.y, on.row, total))
-    stencil = [access.node for access in checked(kernel).stencil]
+    stencil = list(checked(kernel).step.unchecked)
     program = lowered(kernel, Launched.BOXES, stencil)
     assert not program.sites
     assert_agree(kernel, rows=inner)

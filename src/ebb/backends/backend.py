@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any, Protocol, TypeAlias
 
+from ebb.backends.cache import ObjectCache
 from ebb.compiler import kir
-from ebb.compiler.phases.stencil import Access
 from ebb.compiler.phases.table import PhaseTable
+from ebb.compiler.scatter.step import Step
 from ebb.records import record
 from ebb.relations.field import Field
 from ebb.relations.globals import Global
@@ -39,18 +40,27 @@ def _nothing_unverified() -> None:
 
 @record(eq=False)
 class CheckedKernel:
-    """A kernel whose phases are right, after the passes, with the facts that stand beside the tree.
+    """A kernel whose phases are right, after the passes.
 
     Attributes:
+        step: the kernel, and what is known of it; perhaps it is made only when somebody asks for it.
         verify: verifies what the kernel was made of, unless that has been done; a backend calls it before it compiles
             or interprets the kernel.
     """
 
-    kernel: kir.Kernel
-    phases: PhaseTable
-    stencil: tuple[Access, ...]
+    step: Step
     hints: Hints
     verify: Callable[[], None] = _nothing_unverified
+
+    @property
+    def kernel(self) -> kir.Kernel:
+        """The kernel."""
+        return self.step.kernel
+
+    @property
+    def phases(self) -> PhaseTable:
+        """The phases of its fields and globals."""
+        return self.step.phases
 
 
 @record
@@ -181,6 +191,11 @@ class Backend(Protocol):
     @property
     def device(self) -> Device | None:
         """The device that kernels run on, None where that is the processor."""
+        ...
+
+    @property
+    def facts_cache(self) -> ObjectCache | None:
+        """Where facts of kernels are kept between processes; None where launches take more than facts."""
         ...
 
     @property

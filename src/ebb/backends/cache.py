@@ -25,10 +25,7 @@ from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 
-try:  # what hashlib has, without OpenSSL, which takes 2 ms to load
-    from _blake2 import blake2b
-except ImportError:
-    from hashlib import blake2b
+from ebb.runtime.digest import DIGEST_BYTES, checksum
 
 _FOLDER_VARIABLE = "EBB_CACHE_DIR"
 _LIMIT_VARIABLE = "EBB_CACHE_SIZE"
@@ -40,9 +37,7 @@ DEFAULT_LIMIT = 512 * _MEBIBYTE
 _LARGEST_FILE = 64 * _MEBIBYTE
 """A kernel takes some kilobytes. What is larger than this is none of ours, and is not read into memory."""
 
-_CHECKSUM_BYTES = 32
-
-_OURS = re.compile(r"[0-9a-f]{64}\.(?:[oi]|[0-9a-f]{16}\.part)")
+_OURS = re.compile(r"[0-9a-f]{64}\.(?:[oif]|[0-9a-f]{16}\.part)")
 """The names of our files. No other file is ever removed, should the folder hold any."""
 
 _UNUSED_FOR = 3600.0
@@ -87,16 +82,6 @@ def cache_limit() -> int:
     return DEFAULT_LIMIT
 
 
-def key_of(*parts: str | bytes) -> str:
-    """The name under which code that depends on ``parts`` is kept."""
-    digest = blake2b(digest_size=_CHECKSUM_BYTES)
-    for part in parts:
-        content = part.encode() if isinstance(part, str) else part
-        digest.update(f"{len(content)}:".encode())
-        digest.update(content)
-    return digest.hexdigest()
-
-
 def cache_usage(directory: Path) -> tuple[int, int]:
     """How many kernels the folder keeps, and how many bytes our files take; none where it cannot be read."""
     files = [(path.endswith(".o"), status.st_size) for path, status in _files(directory)]
@@ -108,6 +93,7 @@ class Content(Enum):
 
     CODE = ".o"
     INTERFACE = ".i"
+    FACTS = ".f"
 
 
 class ObjectCache:
@@ -138,8 +124,8 @@ class ObjectCache:
                 whole = file.read(status.st_size)
         except OSError:
             return None
-        image = whole[_CHECKSUM_BYTES:]
-        if not image or whole[:_CHECKSUM_BYTES] != _checksum(key, image):
+        image = whole[DIGEST_BYTES:]
+        if not image or whole[:DIGEST_BYTES] != checksum(key, image):
             return None
         if abs(time.time() - status.st_mtime) > _UNUSED_FOR:
             with suppress(OSError):
@@ -148,13 +134,13 @@ class ObjectCache:
 
     def put(self, key: str, image: bytes, content: Content = Content.CODE) -> None:
         """Keeps ``image`` under ``key``. Where that cannot be done, warns once a process."""
-        if len(image) + _CHECKSUM_BYTES > min(self.limit, _LARGEST_FILE):
+        if len(image) + DIGEST_BYTES > min(self.limit, _LARGEST_FILE):
             return
         part = f"{self._prefix}{key}.{os.urandom(8).hex()}.part"
         try:
             self.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
             try:
-                _write(part, _checksum(key, image) + image)
+                _write(part, checksum(key, image) + image)
                 os.replace(part, f"{self._prefix}{key}{content.value}")
             except BaseException:
                 with suppress(OSError):
@@ -207,12 +193,6 @@ def _files(directory: Path) -> Iterator[tuple[str, os.stat_result]]:
 def _remove(path: str) -> None:
     with suppress(OSError):  # gone already, or open on Windows
         os.unlink(path)
-
-
-def _checksum(key: str, image: bytes) -> bytes:
-    digest = blake2b(key.encode(), digest_size=_CHECKSUM_BYTES)
-    digest.update(image)
-    return digest.digest()
 
 
 def _open_to_read(path: str, flags: int) -> int:

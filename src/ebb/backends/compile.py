@@ -10,13 +10,14 @@ from typing import Any
 
 import ebb.backends.llvm as emitter
 from ebb.backends import target as targets
-from ebb.backends.cache import ObjectCache, key_of
+from ebb.backends.cache import ObjectCache
 from ebb.backends.target import Target
 from ebb.compiler import lir, lir_print, lir_verify, lir_walk
 from ebb.compiler.pipeline import dump, log_time
 from ebb.errors import BackendError
 from ebb.runtime import cpu, device, replay
 from ebb.runtime.device import Feature
+from ebb.runtime.digest import key_of
 from ebb.runtime.errors import VariablesTooLarge
 from ebb.types.types import ScalarType, float64
 

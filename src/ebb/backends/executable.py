@@ -9,10 +9,9 @@ from typing import Generic
 
 from ebb.backends.backend import Bound, CheckedKernel, How, Once
 from ebb.backends.compile import MOST_PRIVATE_BYTES, check_private_bytes, stage_text, stages_of
-from ebb.backends.kernel_code import Bindings, BindingT, CodeT, Draft, KernelCode, Lowering, NoRows, step_of
+from ebb.backends.kernel_code import Bindings, BindingT, CodeT, Draft, KernelCode, Lowering, NoRows
 from ebb.backends.target import Target
-from ebb.compiler.kir_walk import draws
-from ebb.compiler.lower import most_variable_bytes, variable_bytes
+from ebb.compiler.lower import variable_bytes
 from ebb.compiler.scatter.choose import Plan, Planner, Run
 from ebb.compiler.scatter.step import Step
 from ebb.relations.field import Field
@@ -35,10 +34,10 @@ class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
         Raises:
             BackendError: the variables of one row do not fit into the memory of a thread.
         """
-        if most_variable_bytes(checked.kernel) > MOST_PRIVATE_BYTES:
+        if checked.step.outline.variable_bytes > MOST_PRIVATE_BYTES:
             check_private_bytes(checked.kernel.name, variable_bytes(checked.kernel))
         self.checked = checked
-        self.step = step_of(checked)
+        self.step = checked.step
         self._lowering = lowering
         self._target = target
         self._usual = usual
@@ -56,7 +55,7 @@ class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
             BackendError: the code cannot be compiled, or a device lacks what it needs.
         """
         if rows.size == 0:
-            return NoRows(draws(self.checked.kernel))
+            return NoRows(self.step.outline.draws)
         plan = self.plan(rows)
         if not changing.isdisjoint(plan.read):
             plan = self._planners[rows].plan_in_order("its keys change within a captured step")  # depends on none
@@ -79,7 +78,7 @@ class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
         """The text of a stage of the backend for a launch on all rows; None for any other."""
         if stage not in stages_of(self._target):
             return None
-        rows = self.checked.kernel.relation
+        rows = self.step.outline.relation
         steps = [(self.step, rows)]
         if rows.size:
             steps = [(run.step, run.rows) for run in self.plan(rows).runs]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
-from ebb.backends.backend import Bound, CheckedKernel, Hints
+from ebb.backends.backend import Bound, Hints
 from ebb.compiler import lir
-from ebb.compiler.kir_key import KernelKey, kernel_key
-from ebb.compiler.lower import Launched, lower, sources_of
+from ebb.compiler.kir_key import KernelKey
+from ebb.compiler.lower import Launched, lower
 from ebb.compiler.lower.facts import Facts, FactSources, State
 from ebb.compiler.scatter.step import Step
 from ebb.records import record
@@ -71,7 +71,7 @@ class Draft:
     @property
     def name(self) -> str:
         """The name of the kernel."""
-        return self.step.kernel.name
+        return self.step.outline.name
 
     def lower(self) -> lir.Program:
         """The program: each time another one, but always the same text and the same sites."""
@@ -79,7 +79,7 @@ class Draft:
 
     def key(self) -> KernelKey:
         """The text of the kernel, which is all that the program depends on beside ``choices``."""
-        return kernel_key(self.step.kernel, self.step.phases, self.step.unchecked)
+        return self.step.outline.key
 
     @property
     def choices(self) -> str:
@@ -110,7 +110,7 @@ class KernelCode(Generic[CodeT, BindingT]):
         self._lowering = lowering
         self._load = load
         self._attach = attach
-        self._sources = sources_of(step.kernel)
+        self._sources = step.outline.sources
         self._row_bytes = sum(field.type.size * field.type.dtype.itemsize for field in step.phases.fields)
         self._compiled: dict[tuple[Launched, lir.Stores, State], tuple[Draft, CodeT]] = {}
         self._bindings: dict[tuple[RowSet, State], BindingT] = {}
@@ -191,11 +191,6 @@ def launched_as(rows: RowSet) -> Launched:
     if rows.boxes is not None:
         return Launched.BOXES
     return Launched.ALL if rows.row_positions() is None else Launched.LISTED
-
-
-def step_of(checked: CheckedKernel) -> Step:
-    """The kernel as it was written, in one step."""
-    return Step(checked.kernel, checked.phases, tuple(access.node for access in checked.stencil))
 
 
 def precision_of(hints: Hints) -> lir.Precision:

@@ -13,12 +13,13 @@ import time
 from collections.abc import Callable, Iterator
 from functools import cache
 
-from ebb.backends.cache import Content, ObjectCache, key_of
+from ebb.backends.cache import Content, ObjectCache
 from ebb.backends.compile import kept_code
 from ebb.backends.kernel_code import Draft
 from ebb.backends.target import Target
 from ebb.compiler.interface import Interface, interface_of, packed, unpacked
 from ebb.compiler.pipeline import dumps
+from ebb.runtime.digest import key_of
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
 """Without links, which may lead to another version by the time when a kernel is launched."""
@@ -43,7 +44,7 @@ def known_code(
     Raises:
         BackendError: as ``kept_code``.
     """
-    sources = None if dumps(draft.name) or not kept.limit else _sources()
+    sources = None if dumps(draft.name) or not kept.limit else package_state()
     if sources is None:
         program = draft.lower()
         return interface_of(program), kept_code(program, target, kept, verify)[1]
@@ -63,7 +64,7 @@ def known_code(
 
 
 @cache
-def _sources() -> str | None:
+def package_state() -> str | None:
     """What tells this state of the package's sources from any other; None where they have changed just now.
 
     Nothing is read, since it would take longer than what it saves: a file that changes, or another in its place, has

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import marshal
-from collections.abc import Callable, Mapping
-from enum import Enum
-from typing import Any, cast
 
 from ebb.compiler import lir
 from ebb.compiler.kir_key import KernelKey
+from ebb.compiler.packing import Packing
 from ebb.records import record
-from ebb.relations.field import Field
-from ebb.relations.globals import Global
-from ebb.relations.relation import Relation
-from ebb.types.types import SCALARS, ScalarType
 
 
 @record
@@ -44,57 +38,22 @@ def interface_of(program: lir.Program) -> Interface:
 def packed(interface: Interface, code: str, key: KernelKey) -> bytes:
     """``interface`` and the name of the code as bytes, which have numbers of ``key`` for fields, relations, globals."""
     numbers = {id(each): number for number, each in enumerate(key.named)}
-    return marshal.dumps((code, _pack(interface, numbers)))
+    return marshal.dumps((code, _PACKING.pack(interface, lambda thing: (_NAMED, numbers[id(thing)]))))
 
 
 def unpacked(content: bytes, key: KernelKey) -> tuple[Interface, str]:
     """What was packed for some kernel of the text of ``key``, for the kernel that ``key`` is of."""
     code, tree = marshal.loads(content)
-    return _unpack(tree, key.named), code
+    return _PACKING.unpack(tree, {_NAMED: key.named.__getitem__}), code
 
-
-# What is packed is a tree: a tuple begins with what makes the thing of the rest, a list stands for a tuple.
 
 _NAMED = "named"
-_SCALAR = "scalar"
 
-_RECORDS: tuple[type[Any], ...] = (
-    Interface, lir.Slot, lir.Argument, lir.Var, lir.FieldData, lir.GroupOffsets, lir.GroupRows, lir.RowOrder,
-    lir.GlobalData, lir.Partials, lir.LaunchPositions, lir.PrintRecords, lir.UniformComponent, lir.Extent,
-    lir.ColumnStride, lir.BlockCount,
+_PACKING = Packing(
+    (
+        Interface, lir.Slot, lir.Argument, lir.Var, lir.FieldData, lir.GroupOffsets, lir.GroupRows, lir.RowOrder,
+        lir.GlobalData, lir.Partials, lir.LaunchPositions, lir.PrintRecords, lir.UniformComponent, lir.Extent,
+        lir.ColumnStride, lir.BlockCount,
+    ),
+    (lir.Space, lir.Access, lir.Memory, lir.RandomWord),
 )  # fmt: skip
-
-_OPTIONS: tuple[type[Enum], ...] = (lir.Space, lir.Access, lir.Memory, lir.RandomWord)
-
-_MAKERS: Mapping[str, Callable[..., Any]] = {
-    **{kind.__name__: kind for kind in _RECORDS},
-    **{kind.__name__: {option.value: option for option in kind}.__getitem__ for kind in _OPTIONS},
-    _SCALAR: {scalar.name: scalar for scalar in SCALARS}.__getitem__,
-}
-
-
-def _pack(thing: Any, numbers: Mapping[int, int]) -> Any:
-    match thing:
-        case bool() | int() | str():
-            return thing
-        case tuple():
-            return [_pack(part, numbers) for part in cast("tuple[Any, ...]", thing)]
-        case Field() | Relation() | Global():
-            return _NAMED, numbers[id(thing)]
-        case ScalarType():
-            return _SCALAR, thing.name
-        case Enum():
-            return type(thing).__name__, thing.value
-        case _:
-            return type(thing).__name__, *[_pack(getattr(thing, name), numbers) for name in thing.__match_args__]
-
-
-def _unpack(tree: Any, named: tuple[Any, ...]) -> Any:
-    if isinstance(tree, list):
-        return tuple([_unpack(part, named) for part in cast("list[Any]", tree)])
-    if not isinstance(tree, tuple):
-        return tree
-    maker, *rest = cast("tuple[Any, ...]", tree)
-    if maker == _NAMED:
-        return named[rest[0]]
-    return _MAKERS[maker](*[_unpack(part, named) if isinstance(part, list | tuple) else part for part in rest])

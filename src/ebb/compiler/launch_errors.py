@@ -158,6 +158,28 @@ class BadBlockSize(Diagnostic):
         return ("leave it out, or choose a multiple of 32",)
 
 
+@record
+class CaptureChanged(Diagnostic):
+    """A kernel that came from the cache has to be made, and would be another one now."""
+
+    code: ClassVar[str] = "E267"
+    kernel: str
+
+    @property
+    def title(self) -> str:
+        return f"what kernel '{self.kernel}' captures has changed since the step was captured"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (
+            "its code came from the cache; to say more of it, the kernel has to be made anew, and is another one now",
+        )
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        return ("leave what it captures as it is while captured steps run, or capture the step anew",)
+
+
 def checked_block_size(kernel: str, value: Any) -> int:
     """``value`` as the rows of a work-group.
 

@@ -18,7 +18,7 @@ from ebb.backends.known import known_code
 from ebb.backends.target import host
 from ebb.compiler import lir
 from ebb.compiler.interface import Interface
-from ebb.compiler.phases.order import InOrder, why_in_order
+from ebb.compiler.phases.order import InOrder
 from ebb.compiler.scatter.choose import ANY_ORDER, ATOMICALLY, BLOCK_TOTALS, ROW_AFTER_ROW, Plan, Run
 from ebb.compiler.scatter.waves import in_order
 from ebb.records import record
@@ -44,6 +44,11 @@ class CpuBackend:
     updates: lir.Updates = lir.Updates.PLAIN
     name: str = "cpu"
     device: None = None
+
+    @property
+    def facts_cache(self) -> ObjectCache:
+        """Where facts of kernels are kept between processes."""
+        return self.cache
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -103,7 +108,7 @@ class CpuExecutable(CompiledExecutable[tuple[Interface, CpuCode], Binding]):
         lowering = Lowering(precision_of(checked.hints), backend.updates)
         super().__init__(checked, lowering, host(), How(ROW_AFTER_ROW, BLOCK_TOTALS, ANY_ORDER))
         self._backend = backend
-        self._in_order = why_in_order(checked.kernel, checked.phases)
+        self._in_order = checked.step.outline.in_order
 
     def plan(self, rows: RowSet) -> Plan:
         """As ``CompiledExecutable.plan``."""

@@ -18,7 +18,6 @@ from ebb.backends.llvm.layout import layout_of
 from ebb.backends.printing import PrintBuffer
 from ebb.backends.sources import constant_value, index_array, random_word
 from ebb.compiler import lir
-from ebb.compiler.cost import cost_of
 from ebb.compiler.interface import Interface
 from ebb.compiler.lower import error_at
 from ebb.compiler.scatter.waves import Waves
@@ -75,7 +74,7 @@ class Binding:
         self, draft: Draft, interface: Interface, code: CpuCode, driver: Driver, device: CpuDevice, rows: RowSet
     ) -> None:  # fmt: skip
         self._draft = draft
-        self._kernel = draft.step.kernel
+        self._outline = draft.step.outline
         self._interface = interface
         self._code = code  # held: it would be unloaded
         self._driver = driver
@@ -202,7 +201,7 @@ class Binding:
     def take_failure(self) -> EbbError:
         """The error of the row that failed first in the launch that has just failed; the records are cleared."""
         site, position, payload = self._block.take_failure()
-        return error_at(self._draft.lower().sites[site], self._kernel, position, payload)
+        return error_at(self._draft.lower().sites[site], self._draft.step.kernel, position, payload)
 
     def forget_failures(self) -> None:
         """Clears the records of rows that have failed."""
@@ -256,7 +255,7 @@ class Binding:
         """How many of ``most`` threads the work of a wave pays for: all of them, where that is sure or not known."""
         if min(most, self._device.threads) == 1 or self._rows >= _MANY_ROWS:
             return most
-        cost = cost_of(self._kernel)
+        cost = self._draft.step.cost()
         waves = len(self._starts) - 1
         return most if cost.uncounted else min(most, worthwhile_threads(self._rows * cost.nanoseconds / waves))
 
@@ -274,7 +273,7 @@ class Binding:
             case lir.Partials(_, sum_):
                 self._keep(word, (self._blocks * sum_.size,), slot.type)
             case lir.PrintRecords():
-                self._prints = PrintBuffer(self._kernel, self._draft.lower())
+                self._prints = PrintBuffer(self._draft.step.kernel, self._draft.lower())
                 self._block.words[word] = self._prints.address
             case index:
                 self._sources.append((word, lambda: index_array(index, rows)))
@@ -296,7 +295,7 @@ class Binding:
             case lir.UniformComponent(uniform, component):
                 view = self._block.views[_VIEWS[argument.type.kind, argument.type.bits]]
                 place = word * (8 // view.itemsize)
-                if self._kernel.uniforms[uniform].type.shape:
+                if self._outline.uniforms[uniform].type.shape:
                     self._components.append((view, place, uniform, component))
                 else:
                     self._numbers.append((view, place, uniform))

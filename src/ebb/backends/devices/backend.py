@@ -14,7 +14,7 @@ from ebb.backends.executable import CompiledExecutable
 from ebb.backends.kernel_code import Draft, Lowering, precision_of
 from ebb.backends.target import Target
 from ebb.compiler import lir
-from ebb.compiler.phases.order import InOrder, shares_sums, why_in_order
+from ebb.compiler.phases.order import InOrder, shares_sums
 from ebb.compiler.scatter.choose import ROW_AFTER_ROW, Plan, Run
 from ebb.errors import BackendError
 from ebb.relations.subset import RowSet
@@ -56,6 +56,11 @@ class DeviceBackend:
         self.reorders = reorders
         self.stages = stages_of(target)
 
+    @property
+    def facts_cache(self) -> None:
+        """None: kernels are lowered in each process."""
+        return None
+
     @cached_property
     def failures(self) -> FailureRecords:
         """Where kernels say which rows have failed."""
@@ -90,7 +95,7 @@ class DeviceExecutable(CompiledExecutable[tuple[lir.Program, tuple[Entry, ...]],
         checked = self.checked
         if not (self._backend.deterministic and shares_sums(checked.phases)):
             return Plan((Run(self.step, rows, None),), ATOMICALLY, None, ())
-        if why_in_order(checked.kernel, checked.phases) is InOrder.PRINTS:
+        if checked.step.outline.in_order is InOrder.PRINTS:
             order = "one after the other, since the kernel prints as well as it sums in other rows"
             return Plan((Run(self.step, rows, None),), ROW_AFTER_ROW, order, ())
         return self._planned(rows, None)

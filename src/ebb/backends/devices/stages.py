@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from ebb.backends.backend import CheckedKernel
 from ebb.backends.compile import stage_text
-from ebb.backends.kernel_code import Lowering, launched_as, precision_of, step_of
+from ebb.backends.kernel_code import Lowering, launched_as, precision_of
 from ebb.backends.target import Target, nvptx, spirv
 from ebb.compiler import lir
 from ebb.compiler.lower import facts_of
@@ -23,5 +23,5 @@ def text_without_device(checked: CheckedKernel, stage: str) -> str:
     """
     kernel = checked.kernel
     lowering = Lowering(precision_of(checked.hints), lir.Updates.ATOMIC, checked.hints.block_size)
-    program = lowering.lower(step_of(checked), facts_of(kernel), launched_as(kernel.relation))
+    program = lowering.lower(checked.step, facts_of(kernel), launched_as(kernel.relation))
     return stage_text(program, _TARGETS[stage](), stage)

@@ -71,6 +71,7 @@ class ReferenceBackend:
     name: str = "reference"
     stages: tuple[str, ...] = ()
     device: None = None
+    facts_cache: None = None
     reorders: bool = False
 
     def prepare(self, checked: CheckedKernel) -> ReferenceExecutable:

@@ -13,7 +13,8 @@ from ebb.compiler.elaborate.context import Context
 from ebb.compiler.elaborate.convert import component, operand, typed
 from ebb.compiler.elaborate.errors_names import NoMeaning, UnknownAttribute
 from ebb.compiler.elaborate.errors_types import IndexRange, IndexType, NotIndexable
-from ebb.compiler.elaborate.inline import inline_member, member_function
+from ebb.compiler.elaborate.function import member_function
+from ebb.compiler.elaborate.inline import inline_member
 from ebb.compiler.elaborate.values import (
     BoundMember,
     Poison,

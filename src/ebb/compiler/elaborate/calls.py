@@ -270,7 +270,7 @@ def _beside(value: Operand, known: list[Operand]) -> Element | None:
 
 
 @record
-class _OnPythonNumbers:
+class OnPythonNumbers:
     """A builtin as a function of Python numbers, for what the host computes at each launch."""
 
     row: Builtin
@@ -293,7 +293,7 @@ def _by_python(ctx: Context, row: Builtin, function: Any, known: list[Operand], 
         return weak_operation(ctx, function, tuple(numbers), span)
     if isinstance(row.signature(tuple(lone_scalar(each) for each in numbers)), Complaint):
         return None
-    return weak_operation(ctx, _OnPythonNumbers(row), tuple(numbers), span)
+    return weak_operation(ctx, OnPythonNumbers(row), tuple(numbers), span)
 
 
 def _fold_components(ctx: Context, row: Builtin, name: str, value: Operand, span: Span) -> Value:

@@ -33,6 +33,7 @@ _LARGEST = 1024
 
 def captured(ctx: Context, host: HostExpr, value: Any, span: Span) -> Value:
     """The value of ``host``, which is ``value`` now, where it is read at ``span``."""
+    ctx.trail.captured(host, value)
     match value:
         case np.generic() | np.ndarray():
             return _array(ctx, host, value, span)

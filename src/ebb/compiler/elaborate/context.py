@@ -30,6 +30,7 @@ from ebb.compiler.elaborate.guards import (
 from ebb.compiler.elaborate.rejected import REJECTED_EXPRESSIONS, REJECTED_STATEMENTS
 from ebb.compiler.elaborate.scope import Frame
 from ebb.compiler.elaborate.source import Located
+from ebb.compiler.elaborate.trail import Trail
 from ebb.compiler.elaborate.values import BoundMember, Poison, Query, Typed, Value, WeakChoice
 from ebb.compiler.elaborate.values import Sequence as SequenceValue
 from ebb.compiler.host import (
@@ -69,9 +70,12 @@ class Context:
         frame: the function whose statements are being elaborated.
         out: where statements go now.
         arguments: the values of the further parameters at the launch that asks.
+        trail: what has been looked at.
     """
 
-    def __init__(self, rules: Rules, name: str, relation: Relation, arguments: tuple[Any, ...], frame: Frame) -> None:
+    def __init__(
+        self, rules: Rules, name: str, relation: Relation, arguments: tuple[Any, ...], frame: Frame, trail: Trail
+    ) -> None:  # fmt: skip
         self.kernel = name
         self.relation = relation
         self.frame = frame
@@ -84,6 +88,7 @@ class Context:
         self._uid = 0
         self._depth = 0
         self._returns = frame.returns
+        self.trail = trail
 
     # Python nodes
 

@@ -14,19 +14,25 @@ from ebb.compiler.elaborate.parameters import FieldName, ParameterType, check_si
 from ebb.compiler.elaborate.scope import Bound, Variable
 from ebb.compiler.elaborate.source import SourceFunction
 from ebb.compiler.elaborate.statements import STATEMENTS
+from ebb.compiler.elaborate.trail import Trail
 from ebb.compiler.elaborate.values import Static, Typed
 from ebb.compiler.host import HostConst, HostParameter
 from ebb.errors import KernelSyntaxError
-from ebb.records import record
+from ebb.records import record, replace
 from ebb.relations.relation import Relation
 
 
 @record
 class Elaborated:
-    """A kernel in KIR, and what it assumes of the host: it is right as long as all guards hold."""
+    """A kernel in KIR, and what it assumes of the host: it is right as long as all guards hold.
+
+    Attributes:
+        trail: what was looked at.
+    """
 
     kernel: kir.Kernel
     guards: tuple[Guard, ...]
+    trail: Trail
 
 
 def elaborate(
@@ -45,12 +51,14 @@ def elaborate(
         EbbError: everything that is wrong with the kernel, at once, as the kind of the first thing found.
     """
     check_signature(source)
+    trail = Trail(source.function)
+    source = replace(source, trail=trail)
     rows = positional(source.node)
     if not rows:
         raise KernelSyntaxError(NoRowParameter(name_span(source), source.name))
     row = kir.Local(rows[0].arg, 0, relation.key_type)
     frame = new_frame(source, source.name, None, None, kir.Label(source.name, 0))
-    ctx = Context(Rules(EXPRESSIONS, STATEMENTS), source.name, relation, arguments, frame)
+    ctx = Context(Rules(EXPRESSIONS, STATEMENTS), source.name, relation, arguments, frame, trail)
     frame.bind(row.name, Variable(row, source.span(rows[0])))
     _bind_parameters(ctx, parameters)
     ctx.run(function_body(source.node))
@@ -64,7 +72,7 @@ def elaborate(
         body = (kir.Block(frame.returns.label, body, span),)
     uniforms = tuple(value for _, value in ctx.uniforms.values())
     kernel = kir.Kernel(source.name, relation, row, uniforms, body, span)
-    return Elaborated(kernel, tuple(ctx.guards.values()))
+    return Elaborated(kernel, tuple(ctx.guards.values()), trail)
 
 
 def _bind_parameters(ctx: Context, parameters: tuple[ParameterType, ...]) -> None:

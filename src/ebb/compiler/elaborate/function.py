@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
 
 from ebb.compiler.elaborate.parameters import check_signature
-from ebb.compiler.elaborate.source import SourceFunction, find_source
+from ebb.compiler.elaborate.source import Scope, SourceFunction, find_source
 
 
 class Func:
@@ -33,9 +33,19 @@ class Func:
         check_signature(source)
         return source
 
+    @property
+    def scope(self) -> Scope:
+        """The function and the names around it."""
+        return Scope(self.function, self._text, self._frame_locals or {})  # type: ignore[arg-type]
+
     def __call__(self, *arguments: Any, **named: Any) -> NoReturn:
         """Raises TypeError: a func runs in kernels only."""
         raise TypeError(f"'{self.name}' is an ebb.func: call it from a kernel; on the host, call a Python function")
 
     def __repr__(self) -> str:
         return f"<ebb.func {self.name}>"
+
+
+def member_function(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The Python function of a member, which may have been made a func too."""
+    return function.function if isinstance(function, Func) else function

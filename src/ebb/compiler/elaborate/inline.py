@@ -12,7 +12,7 @@ from ebb.compiler.elaborate.context import Context, is_simple
 from ebb.compiler.elaborate.convert import Operand, common_type_of, convert, operand, typed
 from ebb.compiler.elaborate.errors_calls import CallArguments, MayEndWithoutValue, NoValue
 from ebb.compiler.elaborate.errors_names import Recursion
-from ebb.compiler.elaborate.function import Func
+from ebb.compiler.elaborate.function import Func, member_function
 from ebb.compiler.elaborate.operators import no_common_type
 from ebb.compiler.elaborate.parameters import check_signature, declared_type, positional
 from ebb.compiler.elaborate.scope import (
@@ -52,7 +52,7 @@ def inline_func(ctx: Context, func: Func, given: list[Value], named: Mapping[str
         source = func.source
     except EbbError as error:
         return _unreadable(ctx, error, span)
-    return _inline(ctx, source, func.name, given, named, span)
+    return _inline(ctx, ctx.trail.func_entered(func, source), func.name, given, named, span)
 
 
 def inline_member(
@@ -69,12 +69,7 @@ def inline_member(
         check_signature(source)
     except EbbError as error:
         return _unreadable(ctx, error, span)
-    return _inline(ctx, source, member.name, given, named or {}, span)
-
-
-def member_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The Python function of a member, which may have been made a func too."""
-    return function.function if isinstance(function, Func) else function
+    return _inline(ctx, ctx.trail.member_entered(member, function, source), member.name, given, named or {}, span)
 
 
 def new_frame(source: SourceFunction, title: str, parent: Frame | None, call: Span | None, label: kir.Label) -> Frame:

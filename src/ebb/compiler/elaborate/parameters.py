@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 from ebb.compiler.elaborate.errors import BadAnnotation, NoRowParameter, UnresolvedAnnotation
 from ebb.compiler.elaborate.errors_syntax import RejectedSyntax
 from ebb.compiler.elaborate.rejected import REJECTED_PARAMETERS
-from ebb.compiler.elaborate.source import SourceFunction
+from ebb.compiler.elaborate.source import Scope, SourceFunction
 from ebb.errors import KernelSyntaxError, KernelTypeError
 from ebb.records import record
 from ebb.relations.relation import Relation
@@ -27,6 +27,14 @@ class FieldName:
 
 
 ParameterType: TypeAlias = Type | FieldName
+
+
+@record
+class Declared:
+    """The relation of a kernel's rows, None where the first parameter is bare, and what the others are declared as."""
+
+    row: Relation | None
+    parameters: Mapping[str, Type | type[str] | None]
 
 
 def row_annotation(source: SourceFunction) -> Relation | None:
@@ -81,14 +89,42 @@ def annotation(source: SourceFunction, parameter: ast.arg) -> Any:
     """
     if parameter.annotation is None:
         return None
+    if source.trail is not None:
+        source.trail.annotated(source.function, parameter.arg)
     try:
-        value = source.function.__annotations__.get(parameter.arg)
-        value = _evaluated(source, value) if isinstance(value, str) else value
+        return annotated(source, parameter.arg)
     except Exception as error:  # whatever the user's own expression raises
         reason = f"{type(error).__name__}: {error}"
         span = source.span(parameter.annotation)
         raise KernelTypeError(UnresolvedAnnotation(span, source.name, parameter.arg, reason)) from error
+
+
+def annotated(source: SourceFunction | Scope, name: str) -> Any:
+    """The annotation of the parameter ``name``, None where it has none; raises whatever its evaluation raises."""
+    value = source.function.__annotations__.get(name)
+    value = _evaluated(source, value) if isinstance(value, str) else value
     return None if value is Any else value  # Any is how typed programs write a bare parameter
+
+
+def plain_signature(scope: Scope) -> Declared | None:
+    """What the signature declares, without a look at its source, which has to say why where this is None."""
+    code = scope.function.__code__
+    if code.co_flags & _VARIADIC or code.co_kwonlyargcount or not code.co_argcount:
+        return None
+    try:
+        row, *types = [annotated(scope, name) for name in code.co_varnames[: code.co_argcount]]
+    except Exception:  # whatever the user's own expression raises
+        return None
+    row = row.target if isinstance(row, KeyType) else row
+    if not (row is None or isinstance(row, Relation)) or not all(
+        [each in (None, str) or is_type(each) for each in types]
+    ):
+        return None
+    declared = [each if each is None or each is str else as_type(each) for each in types]
+    return Declared(row, dict(zip(code.co_varnames[1:], declared, strict=False)))
+
+
+_VARIADIC = 0x04 | 0x08  # CO_VARARGS, CO_VARKEYWORDS
 
 
 def check_signature(source: SourceFunction) -> None:
@@ -126,7 +162,7 @@ def name_span(source: SourceFunction) -> Any:
     return type(whole)(source.source, whole.line, column, whole.line, column + len(source.name))
 
 
-def _evaluated(source: SourceFunction, text: str) -> Any:
+def _evaluated(source: SourceFunction | Scope, text: str) -> Any:
     filled = {name: cell.cell_contents for name, cell in source.cells.items() if _is_set(cell)}
     value = eval(_code(text), dict(source.namespace), ChainMap[str, Any](filled, dict(source.locals)))
     # Under the future import a quoted annotation is text of a text.

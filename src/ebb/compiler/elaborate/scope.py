@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 from ebb.compiler import kir
-from ebb.compiler.elaborate.source import SourceFunction
+from ebb.compiler.elaborate.source import Scope, SourceFunction
 from ebb.compiler.elaborate.values import Value
 from ebb.compiler.host import HostCell, HostConst, HostExpr, HostGlobal
 from ebb.diagnostics.span import Span
@@ -199,6 +199,14 @@ def _bound_by_rejected(node: ast.AST) -> tuple[str, ...]:
 
 def raw_lookup(source: SourceFunction, name: str) -> tuple[HostExpr, Any] | None:
     """What ``name`` is outside the function now, or None where it is nothing (yet)."""
+    found = outside(source, name)
+    if source.trail is not None:
+        source.trail.looked(source.function, name, None if found is None else found[0])
+    return found
+
+
+def outside(source: SourceFunction | Scope, name: str) -> tuple[HostExpr, Any] | None:
+    """``raw_lookup`` that nobody takes notice of."""
     if name in source.cells:
         cell = source.cells[name]
         try:

@@ -10,16 +10,50 @@ import stat
 from collections.abc import Mapping
 from functools import lru_cache
 from types import CellType, CodeType, FunctionType
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 from ebb.compiler.elaborate.errors import NotAFunction, SourceChanged, SourceNotFound
 from ebb.diagnostics.span import Source, Span
 from ebb.errors import KernelSyntaxError
 from ebb.records import field, record
+from ebb.runtime.digest import key_of
+
+if TYPE_CHECKING:
+    from ebb.compiler.elaborate.trail import Trail
 
 Located: TypeAlias = ast.expr | ast.stmt | ast.arg | ast.keyword
 """The nodes of a syntax tree that say where they stand."""
+
+
+class Scope:
+    """A function and the names around it, without its source.
+
+    Attributes:
+        function: the function.
+        text: the text that defines it, where that was given.
+        locals: what the frame that decorated it had, for annotations that Python keeps as text.
+        cells: the variables of enclosing functions that it captures.
+        namespace: the globals of its module.
+    """
+
+    __slots__ = ("cells", "function", "locals", "namespace", "text")
+
+    def __init__(self, function: FunctionType, text: str | None, frame_locals: Mapping[str, Any]) -> None:
+        self.function = function
+        self.text = text
+        self.locals = frame_locals
+        self.cells = _cells(function)
+        self.namespace: Mapping[str, Any] = function.__globals__
+
+    @property
+    def builtins(self) -> Mapping[str, Any]:
+        """The builtin names that it sees."""
+        return _builtins_in(self.namespace)
+
+    def source(self) -> SourceFunction:
+        """``find_source`` of the function."""
+        return find_source(self.function, self.text, self.locals)
 
 
 @record(eq=False)
@@ -31,6 +65,7 @@ class SourceFunction:
         cells: the variables of enclosing functions that it captures.
         namespace: the globals of its module.
         locals: what the frame that decorated it had, for annotations that Python keeps as text.
+        trail: notes what is looked at outside of the function, where somebody asks.
     """
 
     name: str
@@ -40,6 +75,7 @@ class SourceFunction:
     cells: Mapping[str, CellType]
     namespace: Mapping[str, Any]
     locals: Mapping[str, Any] = field(repr=False)
+    trail: Trail | None = field(default=None, repr=False)
 
     def span(self, node: Located, caller: Span | None = None) -> Span:
         """Where ``node`` stands. The columns of ``ast`` count UTF-8 bytes, those of spans characters."""
@@ -58,8 +94,16 @@ class SourceFunction:
     @property
     def builtins(self) -> Mapping[str, Any]:
         """The builtin names that the function sees."""
-        found: Any = self.namespace.get("__builtins__", builtins)
-        return found if isinstance(found, dict) else vars(found)  # pyright: ignore[reportUnknownVariableType]
+        return _builtins_in(self.namespace)
+
+
+def _cells(function: FunctionType) -> Mapping[str, CellType]:
+    return dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+
+
+def _builtins_in(namespace: Mapping[str, Any]) -> Mapping[str, Any]:
+    found: Any = namespace.get("__builtins__", builtins)
+    return found if isinstance(found, dict) else vars(found)  # pyright: ignore[reportUnknownVariableType]
 
 
 def find_source(
@@ -108,9 +152,33 @@ def _source_function(
     function: FunctionType, node: ast.FunctionDef, source: Source, frame_locals: Mapping[str, Any]
 ) -> SourceFunction:
     code = function.__code__
-    cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
-    return SourceFunction(code.co_name, function, node, source, cells, function.__globals__, frame_locals)
+    return SourceFunction(code.co_name, function, node, source, _cells(function), function.__globals__, frame_locals)
 
+
+_PACKAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.dirname(__file__))), "")
+
+
+def text_key(function: FunctionType, text: str | None) -> str | None:
+    """What tells the text around ``function`` from any other, None where there is none.
+
+    Of functions of this package it is the file: who keeps the key knows in which state the package is.
+    """
+    if text is not None:
+        return key_of(text)
+    filename = function.__code__.co_filename
+    if filename.startswith(_PACKAGE):
+        return filename
+    text = _kept_source(function.__code__, function.__globals__)
+    if not text:
+        return None
+    known = _keys.get(filename)
+    if known is None or known[0] is not text:
+        known = _keys[filename] = (text, key_of(filename, text))
+    return known[1]
+
+
+_keys: dict[str, tuple[str, str]] = {}
+"""The text of each file, and its key."""
 
 _COROUTINE = 0x80 | 0x200  # CO_COROUTINE, CO_ASYNC_GENERATOR
 

@@ -22,7 +22,7 @@ from ebb.errors import BoundsError
 from ebb.records import record
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
-from ebb.types.types import KeyType
+from ebb.types.types import KeyType, Type
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -30,8 +30,19 @@ if TYPE_CHECKING:
 Coordinates: TypeAlias = "list[npt.NDArray[Any]]"
 Matrix: TypeAlias = "tuple[tuple[kir.Entry, ...], ...]"
 
+_Map: TypeAlias = "kir.Affine | Move"
+
 _MOST_ROWS = 1 << 22
 """How many rows are followed at once, which bounds the memory of a check."""
+
+
+@record
+class Move:
+    """What an affine access does to coordinates: that of ``kir.Affine`` without its place in the kernel."""
+
+    matrix: Matrix
+    edge: kir.Edge
+    type: Type
 
 
 @record
@@ -72,6 +83,17 @@ def collect_stencil(kernel: kir.Kernel) -> tuple[Access, ...]:
     return tuple(accesses.values())
 
 
+def moves_of(accesses: Sequence[Access]) -> tuple[tuple[Move, ...], ...]:
+    """The steps of the accesses that have to stay within their grids."""
+    checked = [access for access in accesses if access.node.edge is kir.Edge.CHECK]
+    return tuple(tuple(Move(step.matrix, step.edge, step.type) for step in access.steps) for access in checked)
+
+
+def stays_inside(moves: Sequence[Sequence[Move]], rows: RowSet) -> bool:
+    """Whether no access leaves its grid when the kernel runs on ``rows``, whatever the branches."""
+    return all([_find_overrun(steps, rows) is None for steps in moves])
+
+
 def check_stencil(kernel: kir.Kernel, accesses: Sequence[Access], rows: RowSet) -> None:
     """Checks that no access leaves its grid when ``kernel`` runs on ``rows``, whatever the branches.
 
@@ -79,14 +101,14 @@ def check_stencil(kernel: kir.Kernel, accesses: Sequence[Access], rows: RowSet) 
         BoundsError: some do; all of them are reported, with subsets that would do.
     """
     checked = [access for access in accesses if access.node.edge is kir.Edge.CHECK]
-    overruns = [(access, overrun) for access in checked if (overrun := _find_overrun(access, rows)) is not None]
+    overruns = [(access, overrun) for access in checked if (overrun := _find_overrun(access.steps, rows)) is not None]
     if not overruns:
         return
     fitting, subset = _suggest_subsets(kernel.relation, checked)
     raise BoundsError(*(_diagnostic(kernel, access, overrun, fitting, subset) for access, overrun in overruns))
 
 
-def target_of(node: kir.Affine) -> Relation:
+def target_of(node: _Map) -> Relation:
     """The grid whose row an affine access gives."""
     return cast(Relation, cast(KeyType, node.type).target)
 
@@ -112,29 +134,29 @@ def _steps_to(key: kir.Expr, centered: Centered, values: Mapping[int, kir.Expr])
 # ---- Following an access ----
 
 
-def _find_overrun(access: Access, rows: RowSet) -> _Overrun | None:
-    """Where the last step of ``access`` leaves its grid; its other steps are accesses of their own."""
+def _find_overrun(steps: Sequence[_Map], rows: RowSet) -> _Overrun | None:
+    """Where the last of ``steps`` leaves its grid; the others are accesses of their own."""
     for coordinates in _coordinates(rows):
-        asked = _ask(access, coordinates)
+        asked = _ask(steps, coordinates)
         for dimension, index in enumerate(asked):
-            outside = find_outside(access.node, dimension, index)
+            outside = find_outside(steps[-1], dimension, index)
             if outside is not None and outside.any():
                 first = np.unravel_index(int(np.argmax(outside)), outside.shape)
                 row = tuple(int(_at(axis, first)) for axis in coordinates)
-                return _Overrun(dimension, _reach(access, dimension, rows), row)
+                return _Overrun(dimension, _reach(steps, dimension, rows), row)
     return None
 
 
-def _reach(access: Access, dimension: int, rows: RowSet) -> tuple[int, int]:
-    asked = [_ask(access, coordinates)[dimension] for coordinates in _coordinates(rows)]
+def _reach(steps: Sequence[_Map], dimension: int, rows: RowSet) -> tuple[int, int]:
+    asked = [_ask(steps, coordinates)[dimension] for coordinates in _coordinates(rows)]
     return min(int(index.min()) for index in asked), max(int(index.max()) for index in asked)
 
 
-def _ask(access: Access, coordinates: Coordinates) -> Coordinates:
-    """The indices that ``access`` asks for, before they wrap."""
-    for step in access.steps[:-1]:
+def _ask(steps: Sequence[_Map], coordinates: Coordinates) -> Coordinates:
+    """The indices that the last of ``steps`` asks for, before they wrap."""
+    for step in steps[:-1]:
         coordinates = settled(step, map_coordinates(step.matrix, coordinates))
-    return map_coordinates(access.node.matrix, coordinates)
+    return map_coordinates(steps[-1].matrix, coordinates)
 
 
 def map_coordinates(matrix: Matrix, coordinates: Coordinates) -> Coordinates:
@@ -153,7 +175,7 @@ def _map_row(entries: tuple[kir.Entry, ...], coordinates: Coordinates) -> npt.ND
     return index // scale
 
 
-def settled(step: kir.Affine, asked: Coordinates) -> Coordinates:
+def settled(step: _Map, asked: Coordinates) -> Coordinates:
     """The coordinates that a step gives: wrapped, or held within the grid."""
     target = target_of(step)
     return [
@@ -162,7 +184,7 @@ def settled(step: kir.Affine, asked: Coordinates) -> Coordinates:
     ]
 
 
-def find_outside(step: kir.Affine, dimension: int, index: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
+def find_outside(step: _Map, dimension: int, index: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
     """Which indices lie outside the grid in a dimension, or None where it wraps."""
     target = target_of(step)
     extent = target.shape[dimension]
@@ -272,7 +294,7 @@ def _entries_text(values: Sequence[kir.Entry]) -> str:
 def _suggest_subsets(relation: Relation, accesses: Sequence[Access]) -> tuple[str | None, str | None]:
     """The largest subset for which no access leaves its grid, and code that makes one that has more rows than it."""
     subsets = (found for found in relation._attributes.values() if isinstance(found, Subset) and found.size)  # pyright: ignore[reportPrivateUsage]
-    good = [each for each in subsets if all(_find_overrun(access, each) is None for access in accesses)]
+    good = [each for each in subsets if all(_find_overrun(access.steps, each) is None for access in accesses)]
     fitting = max(good, key=lambda each: each.size, default=None)
     name = None if fitting is None else f"{relation.name}.{fitting.name}"
     box = _largest_box(relation, accesses)
@@ -287,7 +309,7 @@ def _largest_box(relation: Relation, accesses: Sequence[Access]) -> list[tuple[i
     good = [np.ones(extent, dtype=np.bool_) for extent in relation.shape]
     whole = open_mesh([slice(0, extent) for extent in relation.shape])
     for access in accesses:
-        for dimension, index in enumerate(_ask(access, whole)):
+        for dimension, index in enumerate(_ask(access.steps, whole)):
             outside = find_outside(access.node, dimension, index)
             if outside is None or not outside.any():
                 continue

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
+from functools import cached_property
 
 from ebb.compiler import kir
 from ebb.compiler.cost import Cost, cost_of
 from ebb.compiler.lir import BLOCK_ROWS, Precision
-from ebb.compiler.lower import Launched, lower, sources_of
+from ebb.compiler.lower import Launched, lower
 from ebb.compiler.pace import is_straight
 from ebb.compiler.scatter.gather import Route, Routes, find_routes, gather
 from ebb.compiler.scatter.staged import Stage, make_stages, stage, staged_parts
@@ -113,8 +114,7 @@ class Planner:
         self._starts = starts
         self._step = step
         self._rows = rows
-        self._routes = find_routes(step.kernel, step.phases)
-        self._keys = sources_of(step.kernel).keys
+        self._keys = step.outline.sources.keys
         self._hidden: dict[Route, Field] = {}
         self._gathered: dict[tuple[Field, ...], list[Step]] = {}
         self._stages: tuple[tuple[Stage, ...], list[Step]] | None = None
@@ -122,6 +122,10 @@ class Planner:
         self._made_at: object = None
         self._seen: object = None
         self._builds = 0
+
+    @cached_property
+    def _routes(self) -> Routes | None:
+        return find_routes(self._step.kernel, self._step.phases)
 
     def plan(self) -> Plan:
         """The plan for the keys as they are. Its indexes are valid.
@@ -223,7 +227,7 @@ class Planner:
         routes, step = self._routes, self._step
         if routes is None or (None in routes.all and own_positions(self._rows) is not None):
             return None
-        sources = sources_of(step.kernel)
+        sources = step.outline.sources
         facts = sources.facts(sources.state())
         program = lower(step.kernel, step.phases, step.unchecked, facts, Launched.ALL, Precision.CONTRACT)
         return None if program.sites else routes  # whatever can fail has to fail in the order of rows
