@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
+from collections.abc import Iterator
 from functools import cache
 
 import pytest
@@ -33,6 +34,13 @@ def require(backend: str) -> None:
     reason = lacking(backend)
     if reason is not None:
         pytest.skip(reason)
+
+
+def running_on(backend: str) -> Iterator[str]:
+    """Runs what follows on ``backend``: for fixtures."""
+    require(backend)
+    with ebb.backend(backend):
+        yield backend
 
 
 def runnable(*backends: str) -> tuple[str, ...]:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from backends import BACKENDS, running_on
+
 # Test processes run side by side, so threads that wait must not spin. Read when an OpenMP runtime is loaded.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
@@ -33,6 +35,12 @@ def threads_for_little_work() -> Iterator[None]:
         patch.setattr("ebb.runtime.threads.GRAIN", 1e-6)
         patch.setattr("ebb.runtime.threads.GRAIN_OF_PYTHON", 1e-6)
         yield
+
+
+@pytest.fixture(params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The name of the backend that the program runs on."""
+    yield from running_on(request.param)
 
 
 @pytest.fixture

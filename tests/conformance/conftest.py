@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-import ebb
 import ptx
-from backends import BACKENDS, COMPILED, require
+from backends import BACKENDS, COMPILED, running_on
 
 TABLES = Path(__file__).parent / "ptx"
 
@@ -31,10 +30,3 @@ def backend(request, monkeypatch):
 def compiled(request):
     """As ``backend``, for programs that would take the reference interpreter too long."""
     yield from running_on(request.param)
-
-
-def running_on(name):
-    """Runs the program on the backend ``name``."""
-    require(name)
-    with ebb.backend(name):
-        yield name
