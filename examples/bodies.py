@@ -107,6 +107,16 @@ def bunny_scan() -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(closed.points, dtype=np.float64), np.asarray(closed.faces, dtype=np.int64)
 
 
+def bunny_surface(console: Console, otherwise: str) -> TriMesh | None:
+    """The bunny, 1 m along its longest side; None where a package is missing for it, and ``otherwise`` happens."""
+    lacking = what_bunny_lacks()
+    if lacking is None:
+        points, triangles = bunny_scan()
+        return TriMesh.from_arrays(fitted(points), triangles)
+    console.print(f'The bunny needs {lacking} (pip install "ebblang[viz]"): {otherwise}.', markup=False)
+    return None
+
+
 def fitted(points: np.ndarray) -> np.ndarray:
     """The points scaled to 1 m along their longest side, with their lowest above the origin."""
     low, high = points.min(axis=0), points.max(axis=0)

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import track
 
 import ebb
-from bodies import bunny_scan, fitted, what_bunny_lacks
+from bodies import bunny_surface, fitted
 from ebb.domains import TriMesh
 from options import Backend, Threads, check_output, finite, positive
 from pictures import Surface, save_strip
@@ -130,11 +130,9 @@ def colors(temperature: np.ndarray) -> np.ndarray:
 def load_surface(name: str, console: Console) -> TriMesh:
     """A torus, the bunny, or the surface of a file, 1 m across and upright."""
     if name == "bunny":
-        lacking = what_bunny_lacks()
-        if lacking is None:
-            points, triangles = bunny_scan()
-            return TriMesh.from_arrays(fitted(points), triangles)
-        console.print(f'The bunny needs {lacking} (pip install "ebblang[viz]"): a torus is heated.', markup=False)
+        found = bunny_surface(console, "a torus is heated")
+        if found is not None:
+            return found
         name = "torus"
     if name == "torus":
         return TriMesh.torus(0.34, 0.15, 160, 72)

@@ -24,7 +24,7 @@ from rich.console import Console
 import ebb
 import fem
 import fem_neohookean
-from bodies import bunny_scan, fitted, load_solid, what_bunny_lacks
+from bodies import bunny_surface, fitted, load_solid
 from ebb.domains import TetMesh, TriMesh
 from options import Backend, Threads, check_output, finite, positive
 from pictures import CLAY, Surface, save_strip
@@ -137,11 +137,9 @@ def distance(skin: TriMesh) -> float:
 def load_skin(name: str, console: Console, fit: bool = True) -> TriMesh:
     """A torus on its edge, the bunny, or the surface of a file, 1 m along its longest side if ``fit``."""
     if name == "bunny":
-        lacking = what_bunny_lacks()
-        if lacking is None:
-            points, triangles = bunny_scan()
-            return TriMesh.from_arrays(fitted(points), triangles)
-        console.print(f'The bunny needs {lacking} (pip install "ebblang[viz]"): a torus is twisted.', markup=False)
+        found = bunny_surface(console, "a torus is twisted")
+        if found is not None:
+            return found
         name = "torus"
     surface = TriMesh.torus(1.0, 0.42, 240, 100) if name == "torus" else TriMesh.load(name, manifold=False)
     points, triangles = surface.vertices.pos.to_numpy(), surface.triangles.v.to_numpy()
