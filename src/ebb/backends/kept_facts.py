@@ -104,7 +104,7 @@ class FactsFile:
         try:
             steps = [view.note(step) for step in trail.steps.values()]
             way = (steps, view.words(), [view.pack_guard(guard) for guard in guards], view.pack(facts))
-        except (Untold, Unpackable):
+        except Exception:  # besides what cannot be told or packed, whatever the user's objects raise
             return
         self._kept.put(self._key, marshal.dumps([way, *self._ways[: MOST_WAYS - 1]]), Content.FACTS)
 
@@ -169,10 +169,7 @@ class _View:
         """Looks where a step says, and puts into words what is there."""
         if tree[0] == _NAME:  # most are
             _, function, name = cast("tuple[str, int, str]", tree)
-            seen = outside(self._scopes[function], name)
-            self._world.words.append("nothing" if seen is None else type(seen[0]).__name__)
-            if seen is not None:
-                self._world.tell(seen[1])
+            self._tell_name(outside(self._scopes[function], name))
             return
         match self.unpack(tree):
             case Path(expr):
@@ -191,6 +188,16 @@ class _View:
                 self._enter(function, function_of(member, role))
             case step:
                 raise Untold(step)
+
+    def _tell_name(self, seen: tuple[host.HostExpr, Any] | None) -> None:
+        match seen:
+            case None:
+                self._world.words.append("nothing")
+            case (host.HostConst(), bool() | int() | float() as value):  # a builtin number, such as ``__debug__``
+                self._world.words.append(repr(value))
+            case (expr, value):
+                self._world.words.append(type(expr).__name__)
+                self._world.tell(value)
 
     def words(self) -> str:
         """All that was put into words, in short."""
