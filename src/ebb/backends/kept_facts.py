@@ -161,7 +161,7 @@ class _View:
 
     def note(self, step: Step) -> Any:
         """Takes a step of the trail, and gives what ``take`` takes."""
-        tree = self.pack(step)
+        tree = (_NAME, step.function, step.name) if isinstance(step, Name) else self.pack(step)
         self.take(tree)
         return tree
 

@@ -43,7 +43,7 @@ def launch_facts(whole: Whole) -> LaunchFacts:
         outline=whole.step.outline,
         phases=phases,
         reaches=collect_reaches(kernel),
-        pace=pace_of(kernel),
+        pace=pace_of(kernel, whole.step.outline.cost),
         sets=tuple(each for each in overwritten(kernel, phases) if each.holds_keys) if writes_keys else (),
         moves=moves_of(whole.stencil),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ebb.compiler import kir
-from ebb.compiler.cost import cost_of
+from ebb.compiler.cost import Cost, cost_of
 from ebb.compiler.kir_walk import statements
 from ebb.compiler.phases.centered import find_centered
 from ebb.relations.reach import Pace
@@ -20,8 +20,8 @@ def is_straight(kernel: kir.Kernel) -> bool:
     return all([isinstance(stmt, straight) for stmt in statements(kernel.body)])
 
 
-def pace_of(kernel: kir.Kernel) -> Pace:
-    """How ``kernel`` goes over its rows."""
+def pace_of(kernel: kir.Kernel, cost: Cost | None = None) -> Pace:
+    """How ``kernel`` goes over its rows, a row of which has this cost, if that is known."""
     centered = find_centered(kernel)
     for stmt in statements(kernel.body):
         match stmt:
@@ -31,5 +31,5 @@ def pace_of(kernel: kir.Kernel) -> Pace:
                 pass
             case _:
                 return Pace.SCALAR
-    cost = cost_of(kernel)
+    cost = cost or cost_of(kernel)
     return Pace.VECTOR if cost.operations >= OPERATIONS_A_BYTE * cost.bytes else Pace.MEMORY

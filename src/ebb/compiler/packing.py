@@ -38,15 +38,16 @@ class Packing:
         Raises:
             Unpackable: something is of a type that neither packs.
         """
-        kind = cast("type[Any]", type(thing))
+        kind = thing.__class__
         if kind in _LITERALS:
             return thing
         if kind is tuple:
-            return [self.pack(part, other) for part in cast("tuple[Any, ...]", thing)]
+            return [part if part.__class__ in _LITERALS else self.pack(part, other) for part in thing]
         if kind is ScalarType:
             return _SCALAR, thing.name
         if kind in self._records:
-            return kind.__name__, *[self.pack(getattr(thing, name), other) for name in kind.__match_args__]
+            parts = [getattr(thing, name) for name in kind.__match_args__]
+            return kind.__name__, *[part if part.__class__ in _LITERALS else self.pack(part, other) for part in parts]
         if isinstance(thing, Enum):
             return kind.__name__, thing.value
         return other(thing)
