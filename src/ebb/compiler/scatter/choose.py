@@ -13,7 +13,7 @@ from enum import Enum
 from functools import cached_property
 
 from ebb.compiler import kir
-from ebb.compiler.cost import Cost, cost_of
+from ebb.compiler.cost import Cost
 from ebb.compiler.lir import BLOCK_ROWS, Precision
 from ebb.compiler.lower import Launched, lower
 from ebb.compiler.pace import is_straight
@@ -324,7 +324,7 @@ class Planner:
         return sum(self._time(step, self._rows_of(step)) for step in steps)
 
     def _time(self, step: Step, rows: RowSet) -> float:
-        return rows.size * _row_time(cost_of(step.kernel), is_straight(step.kernel))
+        return rows.size * _row_time(step.cost(), is_straight(step.kernel))
 
 
 def _row_time(cost: Cost, straight: bool) -> float:
