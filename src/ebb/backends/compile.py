@@ -63,9 +63,15 @@ def kept_code(
     return key, image
 
 
-def driver_code(target: Target, cache: ObjectCache) -> bytes:
-    """The object code of the driver: from ``cache``, or compiled and put there."""
-    key = key_of("driver", target.fingerprint, _emitter_version())
+def driver_code(target: Target, cache: ObjectCache, package: str | None) -> bytes:
+    """The object code of the driver: from ``cache``, or compiled and put there.
+
+    Args:
+        target: what it is for.
+        cache: where it may be.
+        package: the state of the package's sources, None where that is not known, so that they are read.
+    """
+    key = key_of("driver", target.fingerprint, package or _emitter_version())
     image = cache.get(key)
     if image is None:
         from ebb.backends.llvm.driver import DRIVER_MODULE

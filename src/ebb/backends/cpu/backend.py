@@ -14,7 +14,7 @@ from ebb.backends.cpu.replay import Replay
 from ebb.backends.cpu.tiles import block_starts
 from ebb.backends.executable import CompiledExecutable
 from ebb.backends.kernel_code import Draft, Lowering, precision_of
-from ebb.backends.known import known_code
+from ebb.backends.known import known_code, package_state
 from ebb.backends.target import host
 from ebb.compiler import lir
 from ebb.compiler.interface import Interface
@@ -98,7 +98,7 @@ def _backend_of(threads: int, directory: Path, reorders: bool, updates: lir.Upda
 @cache
 def _driver(device: CpuDevice, objects: ObjectCache) -> Driver:
     """What takes launches through the code of kernels, which is the same for all."""
-    return device.load_driver(driver_code(host(), objects))
+    return device.load_driver(driver_code(host(), objects, package_state()))
 
 
 class CpuExecutable(CompiledExecutable[tuple[Interface, CpuCode], Binding]):
