@@ -23,9 +23,9 @@ def points(size=SIZE):
     return line, rows
 
 
-def row_loop(kernel, rows):
+def row_loop(kernel, rows, *arguments):
     """The loop over rows of a kernel's program."""
-    launch = kernel._find_launch(rows, ())
+    launch = kernel._find_launch(rows, arguments)
     executable = launch.specialisation.executable(ebb.backends.select.current_backend())
     program = executable._code(executable.step).program(rows)
     return next(stmt for stmt in statements(program.block) if isinstance(stmt, lir.RowLoop))
@@ -105,17 +105,64 @@ def test_each_place_wraps(size, low) -> None:
     assert rows.y.to_numpy().tolist() == (np.arange(4 * size) % size).tolist()
 
 
-def test_a_condition_on_what_the_row_has_written_is_not_looked_at_ahead() -> None:
+@pytest.mark.parametrize("bad", [0, 7, PART - 1, PART, 2 * PART + 100, SIZE - 1])
+def test_a_condition_on_what_the_row_has_written_is_looked_at_when_rows_have_run(bad) -> None:
     _, rows = points()
 
     @ebb.kernel
-    def grow(r: rows):
+    def grow(r: rows, limit: ebb.int32):
         r.x = r.x + 1
-        assert r.x <= SIZE - 10, "too large"
+        assert r.x != limit, "too large"
+        r.y = r.x
 
-    assert plan_rare(row_loop(grow, rows)) is None
-    with pytest.raises(ebb.KernelAssertionError, match=rf"rows\[{SIZE - 10}\]"):
-        grow(rows)
+    plan = plan_rare(row_loop(grow, rows, SIZE + 1))
+    assert plan is not None and not plan.ahead and [size for _, size in plan.kept] == [1, 1]
+    grow(rows, SIZE + 1)
+    before = np.arange(1, SIZE + 1)
+    assert rows.x.to_numpy().tolist() == rows.y.to_numpy().tolist() == before.tolist()
+    with pytest.raises(ebb.KernelAssertionError, match=rf"rows\[{bad}\]"):
+        grow(rows, bad + 2)
+    x, y = rows.x.to_numpy(), rows.y.to_numpy()
+    assert (x[: bad + 1] == before[: bad + 1] + 1).all() and (y[:bad] == x[:bad]).all() and y[bad] == before[bad]
+    assert ((x == before) | (x == before + 1)).all() and ((y == before) | (y == before + 1)).all()
+
+
+def test_rows_that_locate_where_they_have_moved_are_vectors() -> None:
+    line, rows = points()
+    rows.new_field("at", ebb.vec2f, init=np.arange(2 * SIZE).reshape(SIZE, 2) % SIZE)
+    rows.new_field("cell", line, init=np.zeros(SIZE, int)[:, None])
+
+    @ebb.kernel
+    def move(r: rows, by: ebb.float32):
+        r.at = ebb.vec2f(r.at[0] + by, r.at[1] - by + r.cell.value)
+        r.cell = ebb.row_at(line, [ebb.int64(ebb.floor(r.at[0]))])
+
+    plan = plan_rare(row_loop(move, rows, 0.5))
+    assert plan is not None and not plan.ahead and sorted(size for _, size in plan.kept) == [1, 2]
+    at, cell = rows.at.to_numpy(), np.zeros(SIZE)
+    for by in (0.5, 3.0, 5.0 * SIZE, -2.0, 7e4):  # some beyond a period
+        move(rows, by)
+        at = np.stack([at[:, 0] + np.float32(by), at[:, 1] - np.float32(by) + cell.astype(np.float32)], axis=-1)
+        cell = np.floor(at[:, 0]) % SIZE
+        np.testing.assert_array_equal(rows.cell.to_numpy().reshape(-1), cell)
+        np.testing.assert_allclose(rows.at.to_numpy(), at, rtol=1e-6)
+        at = rows.at.to_numpy()
+
+
+def test_sums_are_not_tried() -> None:
+    """A row that is run again must not have added anything yet."""
+    _, rows = points()
+    total = ebb.Global(ebb.int64, 0)
+
+    @ebb.kernel
+    def count(r: rows, limit: ebb.int32):
+        r.x = r.x + 1
+        total.value += 1
+        assert r.x != limit, "too large"
+
+    assert plan_rare(row_loop(count, rows, -1)) is None
+    count(rows, -1)
+    assert total.value == SIZE
 
 
 def test_a_condition_on_other_rows_is_not_looked_at_ahead() -> None:

@@ -5,6 +5,8 @@ rows run, a loop looks at the conditions alone, several rows at once. Where none
 always, the rows run without the branches; else they run one by one, with them, up to the row that fails.
 
 That is the same as long as the conditions can be had ahead: from values of the own row that nothing has changed yet.
+Where they cannot, the rows run without the branches at once, and note the conditions meanwhile; what they overwrite has
+been kept, and is put back if one of them came true.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from ebb.backends.llvm.fit import is_failure
+from ebb.backends.llvm.shifts import Linear, Names
 from ebb.backends.llvm.writer import FunctionWriter
 from ebb.compiler import lir
 from ebb.compiler.lir_walk import operands, statements
@@ -25,6 +28,9 @@ MOST_STATEMENTS = 250
 PART = 1024
 """So many rows are looked at, then run: what is loaded for the conditions is then still in the nearest cache."""
 
+MOST_KEPT = 64
+"""How many bytes a row may overwrite to be run before it is known whether something rare happens."""
+
 LANES = 16
 """How many rows run together: those beyond the last so many of a part run one by one."""
 
@@ -34,12 +40,14 @@ class RarePlan:
     """How the rows of a loop run.
 
     Attributes:
-        ahead: what sets ``_HAPPENS`` if something rare happens in the row.
-        smooth: the body without what is rare.
+        ahead: what sets ``_HAPPENS`` if something rare happens in the row; nothing where only ``smooth`` can tell.
+        smooth: the body without what is rare, which then sets it.
+        kept: then, the slots that rows overwrite, and how many elements of each are a row's.
     """
 
     ahead: lir.Body
     smooth: lir.Body
+    kept: tuple[tuple[lir.Slot, int], ...] = ()
 
 
 _HAPPENS = lir.Var(-1, "rare", bool_, 1, lir.Memory.PRIVATE)
@@ -56,9 +64,64 @@ def plan_rare(loop: lir.RowLoop) -> RarePlan | None:
         return None
     needed = _slice(loop, [stmt.condition for stmt in rare])
     if needed is None:
-        return None
+        return _plan_tried(loop, rare)
     notes = [note for number, stmt in enumerate(rare) for note in _noted(stmt, number)]
     return RarePlan((*needed, *notes), smooth)
+
+
+def _plan_tried(loop: lir.RowLoop, rare: list[lir.If]) -> RarePlan | None:
+    """The plan by which rows run before it is known whether something rare happens, or None where they must not."""
+    kept = _overwritten(loop)
+    if kept is None or sum(slot.type.dtype.itemsize * size for slot, size in kept.items()) > MOST_KEPT:
+        return None
+    smooth: list[lir.Stmt] = []
+    for stmt in loop.body:
+        if isinstance(stmt, lir.If) and is_rare(stmt):
+            smooth += _noted(stmt, rare.index(stmt))
+        else:
+            smooth.append(stmt)
+    return RarePlan((), tuple(smooth), tuple(kept.items()))
+
+
+def _overwritten(loop: lir.RowLoop) -> dict[lir.Slot, int] | None:
+    """The slots that rows overwrite and the size of a row in each; None where running a row again would not be enough.
+
+    That is so where it adds to what is not its own, or where a place may depend on what is rare, and so lie anywhere.
+    """
+    names, kept, is_sure = Names(loop.index[-1]), dict[lir.Slot, int](), True
+    if _sets_beyond(loop.body):
+        return None
+    for stmt in statements(loop.body):
+        match stmt:
+            case lir.Let(_, operation):
+                names.name(stmt)
+                if isinstance(operation, lir.Load) and not is_sure and _row_size(names, operation.index) == 0:
+                    return None
+            case lir.Store(slot, index, _):
+                size = _row_size(names, index)
+                if size == 0 or kept.setdefault(slot, size) != size:
+                    return None
+            case lir.If():
+                is_sure = is_sure and not is_rare(stmt)
+            case _:
+                pass
+    return kept
+
+
+def _sets_beyond(body: lir.Body) -> bool:
+    """Whether a variable is set that other rows see, too."""
+    inner = list(statements(body))
+    declared = {stmt.var for stmt in inner if isinstance(stmt, lir.Declare)}
+    return any(isinstance(stmt, lir.StoreVar | lir.Accumulate) and stmt.var not in declared for stmt in inner)
+
+
+def _row_size(names: Names, index: lir.Value) -> int:
+    """How many elements lie from a row to the next, where ``index`` is one of the own row's; else 0."""
+    match names.linear.get(index.number) if isinstance(index, lir.Temp) else None:
+        case Linear(terms, size, constant) if not terms and 0 <= constant < size:
+            return size
+        case _:
+            return 0
 
 
 def is_rare(stmt: lir.If) -> bool:
@@ -136,6 +199,10 @@ class Emitter(Protocol):
     access_group: str | None
     temps: dict[int, str]
 
+    def element(self, slot: lir.Slot, index: str) -> str:
+        """The address of an element of a slot."""
+        ...
+
     def load_var(self, var: lir.Var, index: str) -> str:
         """A component of a variable."""
         ...
@@ -171,10 +238,37 @@ def emit_rare(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, 
         whole = w.emit(f"and i64 {w.emit(f'sub nsw i64 {last}, {first}')}, {-LANES}")
         rest = w.emit(f"add nsw i64 {first}, {whole}")
         e.declare(_HAPPENS)
-        _emit_lanes(e, counter, (first, rest), plan.ahead)
-        rest = w.emit(f"select i1 {e.load_var(_HAPPENS, '0')}, i64 {first}, i64 {rest}")
-        _emit_lanes(e, counter, (first, rest), plan.smooth)
+        if plan.kept:
+            rest = _try(e, plan, counter, (first, rest))
+        else:
+            _emit_lanes(e, counter, (first, rest), plan.ahead)
+            rest = w.emit(f"select i1 {e.load_var(_HAPPENS, '0')}, i64 {first}, i64 {rest}")
+            _emit_lanes(e, counter, (first, rest), plan.smooth)
         e.count(counter, rest, last, loop.body, e.loop_notes(*_ONE_BY_ONE))
+
+
+def _try(e: Emitter, plan: RarePlan, counter: lir.Temp, rows: tuple[str, str]) -> str:
+    """Runs the rows from one of ``rows`` to the other, or none if something rare happens; the row behind them."""
+    w, (first, rest) = e.w, rows
+    w.declare("void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
+    moves: list[str] = []
+    for slot, size in plan.kept:
+        nbytes = slot.type.dtype.itemsize * size
+        buffer = w.allocate(f"[{PART * nbytes} x i8], align 64")
+        place = e.element(slot, w.emit(f"mul i64 {first}, {size}"))
+        length = w.emit(f"mul i64 {w.emit(f'sub i64 {rest}, {first}')}, {nbytes}")
+        w.do(f"call void @llvm.memcpy.p0.p0.i64(ptr {buffer}, ptr {place}, i64 {length}, i1 false)")
+        moves.append(f"call void @llvm.memcpy.p0.p0.i64(ptr {place}, ptr {buffer}, i64 {length}, i1 false)")
+    _emit_lanes(e, counter, rows, plan.smooth)
+    again, on = w.fresh("again"), w.fresh("on")
+    happens = e.load_var(_HAPPENS, "0")
+    w.branch_if(happens, again, on)
+    w.start(again)
+    for move in moves:
+        w.do(move)
+    w.branch(on)
+    w.start(on)
+    return w.emit(f"select i1 {happens}, i64 {first}, i64 {rest}")
 
 
 def _emit_lanes(e: Emitter, counter: lir.Temp, bounds: tuple[str, str], body: lir.Body) -> None:
