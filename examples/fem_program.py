@@ -86,7 +86,8 @@ def materials_of(mesh: TetMesh, young: float | None, poisson: float | None, dens
 def fixed_vertices(given: str, points: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
     """The rows of the vertices to fix: those of a file, or of a side such as ``x-``: all within 1% of its plane.
 
-    A file is a text of numbers with commas or space between (from 0, but in a .bou file of Vega's from 1), or .npy.
+    A file is .npy, or a text of numbers with commas or space between, where what follows a # on a line does not count.
+    Numbers are from 0 on, but in a .bou file of Vega's from 1 on.
     """
     if given in SIDES:
         axis, sign = SIDES[given]
@@ -97,13 +98,17 @@ def fixed_vertices(given: str, points: npt.NDArray[np.float64]) -> npt.NDArray[n
         if given.endswith(".npy"):
             rows = np.load(given)
         else:
-            rows = np.array([int(word) for word in Path(given).read_text().replace(",", " ").split()], dtype=np.int64)
+            lines = [line.partition("#")[0] for line in Path(given).read_text().splitlines()]
+            rows = np.array([float(word) for word in " ".join(lines).replace(",", " ").split()])
     except (OSError, ValueError) as error:
         raise ValueError(
             f"--fixed {given} is neither a file of vertex numbers nor one of {', '.join(SIDES)}: {error}"
         ) from None
-    if rows.dtype.kind not in "iu":
+    if rows.dtype.kind not in "iuf":
         raise ValueError(f"--fixed {given}: the numbers of vertices are integers, not {rows.dtype}")
+    parts = rows[~(rows % 1 == 0)]
+    if parts.size:
+        raise ValueError(f"--fixed {given}: the numbers of vertices are integers, not {parts[0]:g}")
     return rows.astype(np.int64).ravel() - given.endswith(".bou")
 
 
@@ -115,10 +120,13 @@ def read_force(path: Path | None, size: int) -> npt.NDArray[np.float64]:
         force = np.load(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"--force {path} cannot be read: {error}") from None
-    if force.shape != (size, 3) or force.dtype.kind not in "fiu" or not np.isfinite(force).all():
-        raise ValueError(
-            f"--force {path} must hold finite numbers of the shape ({size}, 3), and has {force.dtype} {force.shape}"
-        )
+    if force.shape != (size, 3) or force.dtype.kind not in "fiu":
+        found = f"{force.dtype} {force.shape}"
+        raise ValueError(f"--force {path} must hold numbers of the shape ({size}, 3), and has {found}")
+    endless = np.flatnonzero(~np.isfinite(force).all(axis=1))
+    if endless.size:
+        first = endless[0]
+        raise ValueError(f"--force {path} is not finite in {endless.size} rows, the first is {first}: {force[first]}")
     return force.astype(np.float64)
 
 

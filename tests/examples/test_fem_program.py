@@ -109,9 +109,10 @@ def test_forces_and_fixed_vertices_from_files(run, tmp_path):
     rows = np.flatnonzero(mesh.vertices.pos.to_numpy()[:, 0] == 0)
     np.save(tmp_path / "fixed.npy", rows)
     (tmp_path / "fixed.txt").write_text(", ".join(map(str, rows)))
+    np.savetxt(tmp_path / "floats.txt", rows, header="as NumPy writes them")
     (tmp_path / "fixed.bou").write_text(",\n".join(str(row + 1) for row in rows))
     found = []
-    for fixed in ("fixed.npy", "fixed.txt", "fixed.bou", "x-"):
+    for fixed in ("fixed.npy", "fixed.txt", "floats.txt", "fixed.bou", "x-"):
         words = ("--mesh", "box.veg", "--gravity", "0,0,0", "--force", "force.npy", "--fixed", fixed)
         code, text = run(*words, "--steps", 2, "--dump", "q.npz")
         assert code == 0, text
@@ -177,9 +178,11 @@ def test_rest(run, tmp_path):
         (("--gravity", "1,2"), "--gravity is three numbers"),
         (("--fixed", "none.txt"), "neither a file of vertex numbers nor one of x-"),
         (("--fixed", "broken.txt"), "neither a file of vertex numbers"),
+        (("--fixed", "part.npy"), "are integers, not 2.5"),
         (("--fixed", "far.txt"), "fixed vertex 99 is none of the 45 vertices"),
         (("--force", "none.npy"), "cannot be read"),
         (("--force", "short.npy"), "shape (45, 3)"),
+        (("--force", "nan.npy"), "not finite in 1 rows, the first is 3"),
         (("--mesh", "none.veg"), "E701"),
         (("--mesh", "none.npz"), "cannot be read"),
         (("--mesh", "broken.npz"), "V (points) and T (corners)"),
@@ -190,7 +193,9 @@ def test_rest(run, tmp_path):
 def test_what_is_wrong(run, tmp_path, words, text):
     (tmp_path / "broken.txt").write_text("3, vier")
     (tmp_path / "far.txt").write_text("99")
+    np.save(tmp_path / "part.npy", [1, 2.5])
     np.save(tmp_path / "short.npy", np.zeros((2, 3)))
+    np.save(tmp_path / "nan.npy", np.where(np.arange(45)[:, None] == 3, np.nan, np.zeros((45, 3))))
     np.savez(tmp_path / "broken.npz", V=np.zeros((4, 3)))
     TetMesh.ball(1).save(tmp_path / "ball.veg")
     code, said = run("--resolution", 4, "--steps", 2, *words)

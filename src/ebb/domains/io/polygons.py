@@ -60,7 +60,7 @@ def write_polygons(path: str | PathLike[str], mesh: PolyData, saved: Saved) -> N
     """
     name, suffix = str(path), Path(path).suffix.lower()
     solid = len(mesh.cells) > 0
-    if suffix == ".veg" or (suffix == ".off" and solid):
+    if suffix == ".veg" or (suffix in (".off", ".vtk") and solid):
         raise MeshFormatError(Unsavable(name, f"{suffix} files hold no polyhedra; .vtu files do"))
     if suffix == ".off":
         if saved.point_data or saved.cell_data:
