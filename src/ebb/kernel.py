@@ -20,7 +20,6 @@ from ebb.backends.select import current_backend
 from ebb.compiler import kir_print
 from ebb.compiler.arguments import argument_type, check_argument
 from ebb.compiler.elaborate.errors import NotAFunction
-from ebb.compiler.elaborate.errors_syntax import TooDeep
 from ebb.compiler.elaborate.function import Func
 from ebb.compiler.elaborate.guards import Guard
 from ebb.compiler.elaborate.parameters import (
@@ -276,10 +275,7 @@ class Kernel:
         found = None if file is None else file.find(arguments)
         if found is not None:
             return self._known(relation, types, *found)
-        try:
-            whole = make_whole(self.source, relation, types)
-        except RecursionError:
-            raise KernelSyntaxError(TooDeep(self._name)) from None
+        whole = make_whole(self.source, relation, types)
         facts = launch_facts(whole)
         if file is not None:
             file.put(whole.trail, whole.guards, facts)
