@@ -17,7 +17,6 @@ from typing import Any, overload
 from ebb.backends.backend import ANYWHERE, CheckedKernel, Hints
 from ebb.backends.kept_facts import FactsFile
 from ebb.backends.select import current_backend
-from ebb.compiler import kir_print
 from ebb.compiler.arguments import argument_type, check_argument
 from ebb.compiler.elaborate.errors import NotAFunction
 from ebb.compiler.elaborate.function import Func
@@ -157,6 +156,8 @@ class Kernel:
         """
         launch = self._meant(named)._launch_of(rows, parameters, named)
         if stage == "kir":
+            from ebb.compiler import kir_print  # here: few programs ask for it
+
             return kir_print.text(launch.specialisation.checked.kernel)
         text = launch.inspect(stage)
         if text is None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
 
-from ebb.compiler import kir, kir_print
+from ebb.compiler import kir
 from ebb.compiler.kir_verify import CompilerBug, verify_kernel
 from ebb.compiler.passes.flatten_blocks import flatten_blocks
 from ebb.compiler.passes.fold_constants import fold_constants
@@ -79,7 +79,7 @@ def run_passes(
         CompilerBug: the elaborator or a pass made a kernel that is none, where ``made`` verifies.
     """
     made(kernel, "elaborate")
-    dump(kernel.name, "elaborate", partial(kir_print.text, kernel))
+    dump(kernel.name, "elaborate", partial(_text, kernel))
     for run_pass in passes:
         start = time.perf_counter()
         changed = run_pass(kernel)
@@ -87,9 +87,15 @@ def run_passes(
         log_time(kernel.name, name, start)
         if changed is not kernel and changed.body is not kernel.body:
             made(changed, name)
-            dump(kernel.name, name, partial(kir_print.text, changed))
+            dump(kernel.name, name, partial(_text, changed))
         kernel = changed
     return kernel
+
+
+def _text(kernel: kir.Kernel) -> str:
+    from ebb.compiler import kir_print  # here: few programs ask for it
+
+    return kir_print.text(kernel)
 
 
 def log_time(kernel: str, stage: str, start: float) -> None:
