@@ -325,7 +325,7 @@ def _tell_relation(world: World, relation: Relation) -> None:
     )
     attributes = relation._attributes  # pyright: ignore[reportPrivateUsage]
     world.words.append(str(len(attributes)))
-    for name, value in attributes.items():
+    for name, value in sorted(attributes.items()):  # a kernel cannot tell in which order they were made
         match value:
             case Field():
                 world.words.append(f"{name} {'grouped' if value.grouping is not None else 'field'}")
