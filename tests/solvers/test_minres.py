@@ -105,3 +105,24 @@ def test_a_matrix_with_nothing_to_go_on_with_leaves_x(matrix):
     system.entries.a.load(matrix[tail, head])
     result = MINRES(system.rows.x, system.rows.b, system.entries.a).solve()
     assert result.reason is Reason.BREAKDOWN and not system.x.any()
+
+
+@pytest.mark.parametrize("tolerance", [1e-5, 0.3])
+def test_what_is_said_of_a_singular_system_is_true_of_x(tolerance):
+    random, found = np.random.default_rng(0), []
+    matrix = 2 * np.eye(10) - np.roll(np.eye(10), 1, axis=0) - np.roll(np.eye(10), -1, axis=0)
+    system = System(matrix, np.zeros(10))
+    solver = MINRES(system.rows.x, system.rows.b, system.entries.a)
+    for right in random.normal(size=(8, 10)):
+        for solvable in (False, True):
+            system.right = matrix @ right if solvable else right
+            system.rows.b.load(system.right)
+            system.rows.x.fill(0.0)
+            result = solver.solve(tolerance, most_iterations=200)
+            found.append(result.converged)
+            # Without a solution x grows beyond all bounds, and with it the rounding of what is compared.
+            truth, allowed = system.residual() * np.linalg.norm(system.right), 1e-14 * np.linalg.norm(system.x)
+            assert result.converged or truth == pytest.approx(result.residuals[-1], rel=1e-6, abs=allowed)
+            assert not result.converged or truth <= 10 * tolerance * np.linalg.norm(system.right)
+            assert result.converged or not solvable
+    assert set(found) == {True, False} if tolerance < 0.1 else True in found

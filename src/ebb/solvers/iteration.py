@@ -78,7 +78,7 @@ class Result:
     Attributes:
         iterations: how many there were.
         residuals: the norms of b - A x, as the iteration knows them: at the start and after each iteration. Where the
-            solve is lost to rounding, the last is what the norm is in truth.
+            solve is lost to rounding, or MINRES has not converged, the last is what the norm is in truth.
         converged: whether the last of them is small enough.
         reason: why the solve ended: a ``Reason``, which is a string.
     """

@@ -29,6 +29,9 @@ class KrylovSolver(ABC):
     conditioned: ClassVar[str] = "z"
     """The work field that takes what the blocks of a preconditioner make of a residual."""
 
+    doubted: ClassVar[frozenset[Reason]] = frozenset({Reason.ROUNDING})
+    """The ends of a solve after which the residual is computed anew: its recurrence may be far from the truth there."""
+
     def __init__(
         self,
         x: ebb.Field,
@@ -113,19 +116,22 @@ class KrylovSolver(ABC):
         result = self._progress.run(step, square, callback)
         if result.reason is Reason.NOT_FINITE:
             self._system.rows.copy(self._saved, self._system.x)
-        return self._checked(result) if result.reason is Reason.ROUNDING else result
+        return self._checked(result) if result.reason in self.doubted else result
 
     def _checked(self, result: Result) -> Result:
-        """The result, in doubt whether ``x`` has the residual that the iteration takes it to have."""
+        """The result by the residual that ``x`` has in truth, not by that which the iteration takes it to have."""
         _clear(self._product, self._square, self._norm, self._inner)
         self._go.value = 1
         self._begin(self._system.rows)
         self._multiply()
         self._find_residual(self._system.rows)
         square, target = self._square.value, self._progress.target.value
-        if square <= max(100 * target, self._rounding * self._norm.value):
-            return Result(result.iterations, result.residuals, Reason.CONVERGED)
-        return Result(result.iterations, np.append(result.residuals[:-1], sqrt(square)), Reason.ROUNDING)
+        reason = result.reason
+        if reason in (Reason.CONVERGED, Reason.ROUNDING):
+            if square <= max(100 * target, self._rounding * self._norm.value):
+                return Result(result.iterations, result.residuals, Reason.CONVERGED)
+            reason = Reason.ROUNDING
+        return Result(result.iterations, np.append(result.residuals[:-1], sqrt(square)), reason)
 
     def _over_at_start(self, options: Options) -> Reason | None:
         if not isfinite(self._square.value):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import ebb
-from ebb.solvers.iteration import BREAKDOWN, NOT_FINITE, PRECONDITIONER, RUNNING, is_finite, judge
+from ebb.solvers.iteration import BREAKDOWN, NOT_FINITE, PRECONDITIONER, RUNNING, Reason, is_finite, judge
 from ebb.solvers.kernels import dot_of
 from ebb.solvers.krylov import KrylovSolver
 
@@ -22,10 +22,14 @@ class MINRES(KrylovSolver):
 
     The iteration is that of Paige and Saunders as in Elman, Silvester and Wathen, "Finite Elements and Fast Iterative
     Solvers", 2nd edition, algorithm 4.1. What is minimal is the norm of the residual by the preconditioner; the solve
-    ends by the usual norm, which is found from the residual's own recurrence.
+    ends by the usual norm, which is found from the residual's own recurrence. Of a singular system that has no solution
+    ``x`` may drift where A is zero, which the recurrence does not see: so the residual is computed anew at the end.
     """
 
     prefix: ClassVar[str] = "minres"
+    doubted: ClassVar[frozenset[Reason]] = frozenset(
+        {Reason.CONVERGED, Reason.ROUNDING, Reason.LIMIT, Reason.BREAKDOWN}
+    )
 
     def _make_kernels(self) -> None:
         # The vectors of Lanczos: ``_r`` is the newest, ``_p`` what the preconditioner made of it, divided by its norm.
