@@ -47,6 +47,7 @@ from ebb.launch import Launch, Specialisation
 from ebb.records import field, record, replace
 from ebb.relations.relation import Relation
 from ebb.relations.subset import RowSet, Subset
+from ebb.runtime.collection import uncollected
 from ebb.types.types import Type
 
 _BLOCK_SIZE = "block_size"
@@ -266,7 +267,8 @@ class Kernel:
         for specialisation in known:
             if specialisation.holds(arguments):
                 return specialisation
-        specialisation = self._specialise(relation, types, arguments)
+        with uncollected():
+            specialisation = self._specialise(relation, types, arguments)
         known.append(specialisation)
         return specialisation
 
