@@ -149,6 +149,50 @@ def test_rows_that_locate_where_they_have_moved_are_vectors() -> None:
         at = rows.at.to_numpy()
 
 
+def test_rows_that_do_nothing_but_check_are_tried() -> None:
+    _, rows = points()
+
+    @ebb.kernel
+    def check(r: rows, limit: ebb.int32):
+        twice = r.x
+        if r.x > 5:
+            twice = 2 * r.x
+        assert twice < limit, "too large"
+
+    plan = plan_rare(row_loop(check, rows, 2 * SIZE))
+    assert plan is not None and not plan.ahead and not plan.kept
+    check(rows, 2 * SIZE)
+    with pytest.raises(ebb.KernelAssertionError, match=rf"rows\[{PART + 5}\]"):
+        check(rows, 2 * (PART + 5))
+
+
+@pytest.mark.parametrize("at", [-(10**9), 10**9])
+def test_where_a_wrong_component_would_be_touched_nothing_is_tried(at) -> None:
+    _, rows = points()
+    rows.new_field("v", ebb.vec3f, init=np.arange(3 * SIZE).reshape(SIZE, 3))
+    rows.new_field("at", ebb.int32, init=np.where(np.arange(SIZE) == PART, at, np.arange(SIZE) % 3))
+
+    @ebb.kernel
+    def put(r: rows):
+        r.x = r.x + 1
+        assert r.x > 0, "below"
+        v = r.v
+        v[r.at] = 0.0
+        r.v = v
+
+    @ebb.kernel
+    def take(r: rows):
+        r.x = r.x + 1
+        assert r.x > 0, "below"
+        v = r.v
+        r.y = ebb.int32(v[r.at])
+
+    for kernel in (put, take):
+        assert plan_rare(row_loop(kernel, rows)) is None
+        with pytest.raises(ebb.EbbError, match=rf"rows\[{PART}\]"):
+            kernel(rows)
+
+
 def test_sums_are_not_tried() -> None:
     """A row that is run again must not have added anything yet."""
     _, rows = points()

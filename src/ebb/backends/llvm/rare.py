@@ -95,8 +95,10 @@ def _overwritten(loop: lir.RowLoop) -> dict[lir.Slot, int] | None:
         match stmt:
             case lir.Let(_, operation):
                 names.name(stmt)
-                if isinstance(operation, lir.Load) and not is_sure and _row_size(names, operation.index) == 0:
+                if not is_sure and not _lies_in_own_row(names, operation):
                     return None
+            case lir.StoreVar(_, index, _) if not is_sure and not isinstance(index, lir.Literal):
+                return None
             case lir.Store(slot, index, _):
                 size = _row_size(names, index)
                 if size == 0 or kept.setdefault(slot, size) != size:
@@ -122,6 +124,17 @@ def _row_size(names: Names, index: lir.Value) -> int:
             return size
         case _:
             return 0
+
+
+def _lies_in_own_row(names: Names, operation: lir.Operation) -> bool:
+    """Whether ``operation`` reads nothing whose place could be wrong."""
+    match operation:
+        case lir.Load(_, index):
+            return _row_size(names, index) > 0
+        case lir.LoadVar(_, index):
+            return isinstance(index, lir.Literal)
+        case _:
+            return True
 
 
 def is_rare(stmt: lir.If) -> bool:
@@ -238,12 +251,12 @@ def emit_rare(e: Emitter, loop: lir.RowLoop, plan: RarePlan, bounds: tuple[str, 
         whole = w.emit(f"and i64 {w.emit(f'sub nsw i64 {last}, {first}')}, {-LANES}")
         rest = w.emit(f"add nsw i64 {first}, {whole}")
         e.declare(_HAPPENS)
-        if plan.kept:
-            rest = _try(e, plan, counter, (first, rest))
-        else:
+        if plan.ahead:
             _emit_lanes(e, counter, (first, rest), plan.ahead)
             rest = w.emit(f"select i1 {e.load_var(_HAPPENS, '0')}, i64 {first}, i64 {rest}")
             _emit_lanes(e, counter, (first, rest), plan.smooth)
+        else:
+            rest = _try(e, plan, counter, (first, rest))
         e.count(counter, rest, last, loop.body, e.loop_notes(*_ONE_BY_ONE))
 
 
