@@ -21,10 +21,10 @@ from ebb.runtime.replay import REPLAY
 from ebb.runtime.symbols import external_symbols
 from ebb.runtime.threads import openmp, usable_threads
 
-THREADS, BLOCKS, ROWS, BOXES, FORK, THREAD_NUMBER, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(11)
-SHARES, TEAM, CHUNK, BLOCK_CODE, FINISH_CODE = range(11, 16)
-HEADER_WORDS = 16
-"""The header: how many threads, blocks and rows; the boxes of the blocks; OpenMP's entries; the failure records; then
+THREADS, ROWS, BOXES, FORK, THREAD_NUMBER, FAILURES, ITEMS, STARTS, WAVES, WAVE = range(10)
+SHARES, TEAM, CHUNK, BLOCK_CODE, FINISH_CODE = range(10, 15)
+HEADER_WORDS = 15
+"""The header: how many threads and rows; the boxes of the blocks; OpenMP's entries; the failure records; then
 what may run at once: the stretches of blocks that are the items, each as its first block and the one behind its last
 (no address: each block is an item); the item that each wave starts with; how many waves there are; and the present one.
 The items of a wave run at once. In each wave they ascend. Then how they are shared: the shares, how many there are, and

@@ -29,7 +29,6 @@ from ebb.runtime import random
 from ebb.runtime.buffer import Array, aligned_zeros, host_code_uses
 from ebb.runtime.cpu import (
     BLOCK_CODE,
-    BLOCKS,
     BOXES,
     FINISH_CODE,
     ITEMS,
@@ -230,12 +229,9 @@ class Binding:
             ahead = 0 if self._interface.can_fail else self._interface.ahead_bytes
             self._tiles = tile_boxes(rows.boxes or (), ahead)
             words[BOXES] = self._tiles.ctypes.data
-            blocks = len(self._tiles)
-        else:
-            words[ROWS] = rows.size
-            blocks = -(-rows.size // lir.BLOCK_ROWS)
-        words[BLOCKS] = blocks
-        return blocks
+            return len(self._tiles)
+        words[ROWS] = rows.size
+        return -(-rows.size // lir.BLOCK_ROWS)
 
     def _place_waves(self, waves: Waves | None) -> None:
         """Puts into the argument block which blocks may run at once."""
