@@ -37,7 +37,7 @@ DEFAULT_LIMIT = 512 * _MEBIBYTE
 _LARGEST_FILE = 64 * _MEBIBYTE
 """A kernel takes some kilobytes. What is larger than this is none of ours, and is not read into memory."""
 
-_OURS = re.compile(r"[0-9a-f]{64}\.(?:[oif]|[0-9a-f]{16}\.part)")
+_OURS = re.compile(r"[0-9a-f]{64}\.(?:[oifp]|[0-9a-f]{16}\.part)")
 """The names of our files. No other file is ever removed, should the folder hold any."""
 
 _UNUSED_FOR = 3600.0
@@ -94,6 +94,7 @@ class Content(Enum):
     CODE = ".o"
     INTERFACE = ".i"
     FACTS = ".f"
+    PLAN = ".p"
 
 
 class ObjectCache:

@@ -13,6 +13,7 @@ from ebb.backends.kernel_code import Bindings, BindingT, CodeT, Draft, KernelCod
 from ebb.backends.target import Target
 from ebb.compiler.lower import variable_bytes
 from ebb.compiler.scatter.choose import Plan, Planner, Run
+from ebb.compiler.scatter.kept_plans import PlanStore
 from ebb.compiler.scatter.step import Step
 from ebb.relations.field import Field
 from ebb.relations.subset import RowSet
@@ -109,11 +110,11 @@ class CompiledExecutable(ABC, Generic[CodeT, BindingT]):
 
     # ---- What they use ----
 
-    def _planned(self, rows: RowSet, starts: Callable[[], Array] | None) -> Plan:
-        """The plan of the planner of ``rows``; ``starts`` is what ``Planner`` takes."""
+    def _planned(self, rows: RowSet, starts: Callable[[], Array] | None, kept: PlanStore | None = None) -> Plan:
+        """The plan of the planner of ``rows``; ``starts`` and ``kept`` are what ``Planner`` takes."""
         planner = self._planners.get(rows)
         if planner is None:
-            planner = self._planners[rows] = Planner(self.step, rows, starts)
+            planner = self._planners[rows] = Planner(self.step, rows, starts, kept)
         return planner.plan()
 
     def _bind(self, run: Run) -> BindingT:

@@ -10,7 +10,7 @@ except ImportError:
 DIGEST_BYTES = 32
 
 
-def key_of(*parts: str | bytes) -> str:
+def key_of(*parts: str | bytes | memoryview) -> str:
     """The name under which what depends on ``parts`` is kept."""
     digest = blake2b(digest_size=DIGEST_BYTES)
     for part in parts:

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from ebb.backends.backend import CheckedKernel, How, Operation
-from ebb.backends.cache import ObjectCache, cache_directory
+from ebb.backends.cache import Content, ObjectCache, cache_directory
 from ebb.backends.compile import driver_code, stages_of
 from ebb.backends.cpu.binding import Binding
 from ebb.backends.cpu.replay import Replay
@@ -24,6 +24,7 @@ from ebb.compiler.scatter.waves import in_order
 from ebb.records import record
 from ebb.relations.subset import RowSet
 from ebb.runtime.cpu import CpuCode, CpuDevice, Driver
+from ebb.runtime.digest import key_of
 from ebb.runtime.threads import openmp, thread_count
 
 
@@ -101,6 +102,25 @@ def _driver(device: CpuDevice, objects: ObjectCache) -> Driver:
     return device.load_driver(driver_code(host(), objects, package_state()))
 
 
+@record(eq=False)
+class _KeptPlans:
+    """Plans in the folder of compiled kernels, by this state of the package."""
+
+    cache: ObjectCache
+    package: str
+
+    def get(self, name: str) -> bytes | None:
+        return self.cache.get(key_of(name, self.package), Content.PLAN)
+
+    def put(self, name: str, content: bytes) -> None:
+        self.cache.put(key_of(name, self.package), content, Content.PLAN)
+
+
+def _plans(objects: ObjectCache) -> _KeptPlans | None:
+    package = package_state()
+    return None if package is None or not objects.limit else _KeptPlans(objects, package)
+
+
 class CpuExecutable(CompiledExecutable[tuple[Interface, CpuCode], Binding]):
     """A kernel on the backend ``cpu``."""
 
@@ -122,7 +142,7 @@ class CpuExecutable(CompiledExecutable[tuple[Interface, CpuCode], Binding]):
             case InOrder.SHARED_SUMS if self._backend.updates is lir.Updates.ATOMIC:
                 return Plan((Run(self.step, rows, None),), ATOMICALLY, None, ())
             case InOrder.SHARED_SUMS:
-                return self._planned(rows, lambda: block_starts(rows))
+                return self._planned(rows, lambda: block_starts(rows), _plans(self._backend.cache))
 
     def _load(self, draft: Draft) -> tuple[Interface, CpuCode]:
         backend = self._backend

@@ -14,10 +14,12 @@ from functools import cached_property
 
 from ebb.compiler import kir
 from ebb.compiler.cost import Cost
+from ebb.compiler.kir_walk import statements
 from ebb.compiler.lir import BLOCK_ROWS, Precision
 from ebb.compiler.lower import Launched, lower
 from ebb.compiler.pace import is_straight
 from ebb.compiler.scatter.gather import Route, Routes, find_routes, gather
+from ebb.compiler.scatter.kept_plans import KeptPlan, PlanStore, plan_name, unpacked
 from ebb.compiler.scatter.staged import Stage, make_stages, stage, staged_parts
 from ebb.compiler.scatter.step import Step
 from ebb.compiler.scatter.touched import NotStatic, Touches, find_touched, own_positions
@@ -102,7 +104,9 @@ class Plan:
 class Planner:
     """Plans the launches of one kernel on one set of rows, and keeps what belongs to each way."""
 
-    def __init__(self, step: Step, rows: RowSet, starts: Callable[[], Array] | None) -> None:
+    def __init__(
+        self, step: Step, rows: RowSet, starts: Callable[[], Array] | None, kept: PlanStore | None = None
+    ) -> None:  # fmt: skip
         """Nothing is planned yet.
 
         Args:
@@ -110,8 +114,10 @@ class Planner:
             rows: what it runs on.
             starts: gives the number in the launch of the first row of each block, and the number of rows; None on a
                 device, where threads take rows, not blocks: there are no colours, and row order is the last resort.
+            kept: where the first plan may be kept.
         """
         self._starts = starts
+        self._kept = kept
         self._step = step
         self._rows = rows
         self._keys = step.outline.sources.keys
@@ -143,7 +149,7 @@ class Planner:
             why = "the keys changed before each of the last launches"
             return replace(self.plan_in_order(why, read), settled=False)
         self._builds += 1
-        self._plan = self._make()
+        self._plan = self._make() if self._plan is not None else self._first_plan()
         self._made_at = self._seen = self._state()  # refreshing a grouping may have permuted its relation
         return self._plan
 
@@ -166,11 +172,30 @@ class Planner:
             *[field.maybe_unset for field in self._keys],
         )
 
+    def _first_plan(self) -> Plan:
+        """The plan for the keys as they are, which may be kept."""
+        step, rows, starts, kept = self._step, self._rows, self._starts, self._kept
+        if starts is None or kept is None or self._is_small():
+            return self._make()
+        name = plan_name(step.outline, rows, starts())
+        content = None if name is None else kept.get(name)
+        if content is not None:
+            known = unpacked(content, step.outline)
+            return Plan((Run(step, rows, known.waves),), known.how, known.order, known.read)
+        plan = self._make()
+        run = plan.runs[0] if len(plan.runs) == 1 else None
+        if name is not None and run is not None and run.step is step and run.waves is not None:
+            kept.put(name, KeptPlan(run.waves, plan.how, plan.order, plan.read).packed(step.outline))
+        return plan
+
     # ---- The choice ----
+
+    def _is_small(self) -> bool:
+        return self._starts is not None and self._rows.size < FEW_BLOCKS * BLOCK_ROWS
 
     def _make(self) -> Plan:
         step, rows = self._step, self._rows
-        if self._starts is not None and rows.size < FEW_BLOCKS * BLOCK_ROWS:
+        if self._is_small():
             return self.plan_in_order(f"fewer than {FEW_BLOCKS} blocks of {BLOCK_ROWS:,} rows")
         again = self._may_gather()
         # Of every route, before anything is listed by position: a grouping that is refreshed may move rows.
@@ -227,6 +252,8 @@ class Planner:
         routes, step = self._routes, self._step
         if routes is None or (None in routes.all and own_positions(self._rows) is not None):
             return None
+        if any([isinstance(stmt, kir.Assert) for stmt in statements(step.kernel.body)]):
+            return None  # known without lowering it
         sources = step.outline.sources
         facts = sources.facts(sources.state())
         program = lower(step.kernel, step.phases, step.unchecked, facts, Launched.ALL, Precision.CONTRACT)
