@@ -34,6 +34,9 @@ from ebb.runtime.buffer import Array
 FEW_BLOCKS = 4
 """Launches of fewer blocks than this run in row order: there is nothing to share."""
 
+MOST_KEPT = 2
+"""How many plans of a launch are kept between processes at most: keys may change for as long as a program runs."""
+
 OWN_BYTE, OTHER_BYTE, WRITTEN_BYTE, OPERATION, STRAIGHT_OPERATION = 0.05, 0.12, 0.1, 0.08, 0.02
 """Nanoseconds: for a byte of the own row, of another row, or written; for an operation on scalars, and for one where
 several rows are computed at once."""
@@ -114,7 +117,7 @@ class Planner:
             rows: what it runs on.
             starts: gives the number in the launch of the first row of each block, and the number of rows; None on a
                 device, where threads take rows, not blocks: there are no colours, and row order is the last resort.
-            kept: where the first plan may be kept.
+            kept: where the first plans may be kept.
         """
         self._starts = starts
         self._kept = kept
@@ -128,6 +131,7 @@ class Planner:
         self._made_at: object = None
         self._seen: object = None
         self._builds = 0
+        self._looked = 0
 
     @cached_property
     def _routes(self) -> Routes | None:
@@ -149,7 +153,7 @@ class Planner:
             why = "the keys changed before each of the last launches"
             return replace(self.plan_in_order(why, read), settled=False)
         self._builds += 1
-        self._plan = self._make() if self._plan is not None else self._first_plan()
+        self._plan = self._make_or_find()
         self._made_at = self._seen = self._state()  # refreshing a grouping may have permuted its relation
         return self._plan
 
@@ -172,11 +176,12 @@ class Planner:
             *[field.maybe_unset for field in self._keys],
         )
 
-    def _first_plan(self) -> Plan:
-        """The plan for the keys as they are, which may be kept."""
+    def _make_or_find(self) -> Plan:
+        """The plan for the keys as they are. The first two may be kept: rows may be moved after the first."""
         step, rows, starts, kept = self._step, self._rows, self._starts, self._kept
-        if starts is None or kept is None or self._is_small():
+        if starts is None or kept is None or self._is_small() or self._looked == MOST_KEPT:
             return self._make()
+        self._looked += 1
         name = plan_name(step.outline, rows, starts())
         content = None if name is None else kept.get(name)
         if content is not None:
