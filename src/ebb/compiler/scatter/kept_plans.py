@@ -73,7 +73,7 @@ def plan_name(outline: Outline, rows: RowSet, starts: Array) -> str | None:
     own = own_positions(rows)
     listed = [] if own is None else [own]
     keys = [field.data for field in fields if field.holds_keys]
-    forms = [(array.dtype.str, array.shape) for array in (starts, *listed, *keys)]
+    forms = [(array.dtype.str, array.shape, array.strides) for array in (starts, *listed, *keys)]
     facts = repr((outline.sources.state(), sizes, own is None, forms))
     return key_of("plan", outline.key.text, facts, *map(_content, (starts, *listed, *keys)))
 
@@ -93,4 +93,6 @@ def _relations(outline: Outline) -> list[Relation]:
 
 
 def _content(array: Array) -> memoryview:
-    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
+    """The values of ``array`` in the order in which they lie in memory: in any other they would take long to copy."""
+    in_order = np.moveaxis(array, 0, -1) if array.strides[0] < array.strides[-1] else array
+    return np.ascontiguousarray(in_order).reshape(-1).view(np.uint8).data
