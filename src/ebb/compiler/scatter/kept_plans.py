@@ -15,7 +15,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from ebb.compiler.outline import Outline
-from ebb.compiler.scatter.touched import own_positions
 from ebb.compiler.scatter.waves import Waves
 from ebb.records import record
 from ebb.relations.field import Field
@@ -70,11 +69,11 @@ def plan_name(outline: Outline, rows: RowSet, starts: Array) -> str | None:
         return None
     relations = dict.fromkeys([rows.relation, *_relations(outline)])
     sizes = [(relation.size, relation.shape) for relation in relations]
-    own = own_positions(rows)
+    own = rows.row_positions() if rows.boxes is None else None
     listed = [] if own is None else [own]
     keys = [field.data for field in fields if field.holds_keys]
     forms = [(array.dtype.str, array.shape, array.strides) for array in (starts, *listed, *keys)]
-    facts = repr((outline.sources.state(), sizes, own is None, forms))
+    facts = repr((outline.sources.state(), sizes, rows.boxes, own is None, forms))
     return key_of("plan", outline.key.text, facts, *map(_content, (starts, *listed, *keys)))
 
 
